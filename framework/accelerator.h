@@ -1,0 +1,107 @@
+// The adapter from a traversal kernel to a Primitive; included once per target, after simd.h.
+#if defined(CROFTON_FRAMEWORK_ACCELERATOR_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CROFTON_FRAMEWORK_ACCELERATOR_H_
+#undef CROFTON_FRAMEWORK_ACCELERATOR_H_
+#else
+#define CROFTON_FRAMEWORK_ACCELERATOR_H_
+#endif
+
+#include "framework/parameters.h"
+#include "framework/primitive.h"
+#include "framework/registry.h"
+#include "framework/simd.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+
+/// A structure over a set, as one Primitive. `Structure` is plain data with
+///   bounds(), statistics(), walk(visitor), expected_cost(set), `reads_set`, `name`;
+/// `Traversal` has
+///   template <Query, class Set, class Counters>
+///   static bool run(structure, set, ray, query, counters)   // true: an `any` query is answered
+/// Each override holds its own specialised copy of that traversal, so that over triangles a ray
+/// makes no indirect call below the virtual one.
+template <class Structure, class Traversal, class Set>
+class AcceleratedObject final : public Primitive {
+  public:
+    AcceleratedObject(std::shared_ptr<const Set> set, Structure structure)
+        : structure_(std::move(structure)) {
+        set_bounds(structure_.bounds());
+        expected_cost_ = structure_.expected_cost(*set);
+        if constexpr (Structure::reads_set)
+            set_ = std::move(set);
+        else
+            set_ = std::make_shared<const Set>(set->ids_only());
+    }
+    void closest_local(const LocalRay& ray, RayQuery& query) const override {
+        NoCounters none;
+        Traversal::template run<Query::closest>(structure_, *set_, ray, query, none);
+    }
+    bool any_local(const LocalRay& ray, RayQuery& query) const override {
+        NoCounters none;
+        return Traversal::template run<Query::any>(structure_, *set_, ray, query, none);
+    }
+    void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
+        Traversal::template run<Query::closest>(structure_, *set_, ray, query, counters);
+    }
+    bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
+        return Traversal::template run<Query::any>(structure_, *set_, ray, query, counters);
+    }
+    double expected_cost() const override { return expected_cost_; }
+    StructureStatistics statistics() const override {
+        StructureStatistics s = structure_.statistics();
+        s.bytes += set_->bytes();
+        return s;
+    }
+    std::string type_name() const override { return Structure::name; }
+    void walk(const BoxVisitor& visit) const override { structure_.walk(visit); }
+    void children(const std::function<void(const Primitive&)>& visit) const override {
+        if constexpr (std::is_same_v<Set, ObjectSet>)
+            for (uint32_t i = 0; i < set_->size(); ++i) visit(set_->object(i));
+    }
+
+  private:
+    Structure structure_;
+    std::shared_ptr<const Set> set_;
+    double expected_cost_ = 0;
+};
+
+/// Builds `Structure<Set>` for whatever the set is and wraps it with this target's kernels.
+template <template <class> class Structure, class Traversal, class Parameters>
+std::unique_ptr<Primitive> build_object(const PrimitiveSet& any_set, const Parameters& parameters) {
+    return std::visit(
+        [&]<class Set>(const std::shared_ptr<const Set>& set) -> std::unique_ptr<Primitive> {
+            return std::make_unique<AcceleratedObject<Structure<Set>, Traversal, Set>>(
+                set, Structure<Set>::build(*set, parameters));
+        },
+        any_set);
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+/// In an accelerator's source, for every target: instantiates its kernels over every set.
+#define CROFTON_ACCELERATOR_KERNELS(Structure, Traversal, Parameters)                            \
+    HWY_BEFORE_NAMESPACE();                                                                      \
+    namespace crofton {                                                                          \
+    namespace HWY_NAMESPACE {                                                                    \
+    std::unique_ptr<Primitive> build_##Structure(const PrimitiveSet& set, const Parameters& p) { \
+        return build_object<Structure, Traversal>(set, p);                                       \
+    }                                                                                            \
+    }                                                                                            \
+    }                                                                                            \
+    HWY_AFTER_NAMESPACE();
+
+/// Once, under HWY_ONCE, inside namespace crofton: puts the accelerator into the registry.
+#define CROFTON_REGISTER_ACCELERATOR(Structure, Parameters, registry_name, summary, source)  \
+    HWY_EXPORT(build_##Structure);                                                           \
+    bool Structure##_registered =                                                            \
+        register_accelerator({registry_name, summary, source, list_parameters<Parameters>(), \
+                              [](const PrimitiveSet& set, const ParameterValues& values) {   \
+                                  const Parameters p = read_parameters<Parameters>(values);  \
+                                  return HWY_DYNAMIC_DISPATCH(build_##Structure)(set, p);    \
+                              }})
+
+#endif

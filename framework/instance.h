@@ -1,0 +1,44 @@
+#pragma once
+
+#include "framework/primitive.h"
+
+namespace crofton {
+
+/// Another primitive under an affine map. t keeps its meaning: directions are not renormalised.
+///
+/// A ray is always moved from the world with the composed map, never through a chain of rounded
+/// rays, and triangles are tested in world space against vertices mapped by `apply`: a hit has the
+/// same bits whether a mesh is instanced at any depth or its transform is baked into the vertices.
+/// Object space serves to skip: the local ray is thick by the error of the map.
+class Instance final : public Primitive {
+  public:
+    /// @param parent_from_object  must have a finite inverse, see `is_valid`
+    Instance(std::shared_ptr<const Primitive> object, const Transform& parent_from_object);
+
+    /// Whether a map can place an instance: finite, and so is its inverse, in float too.
+    static bool is_valid(const Transform& parent_from_object);
+
+    const Primitive& object() const { return *object_; }
+    const Transform& parent_from_object() const { return parent_from_object_; }
+
+    void closest_local(const LocalRay& ray, RayQuery& query) const override;
+    bool any_local(const LocalRay& ray, RayQuery& query) const override;
+    void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override;
+    bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override;
+    double expected_cost() const override;
+    StructureStatistics statistics() const override;
+    std::string type_name() const override { return "instance"; }
+    void walk(const BoxVisitor& visit) const override;
+    void children(const std::function<void(const Primitive&)>& visit) const override;
+
+  private:
+    bool enter(const LocalRay& outer, const RayQuery& query, InstanceFrame& frame,
+               LocalRay& inner) const;
+
+    std::shared_ptr<const Primitive> object_;
+    Transform parent_from_object_;
+    Transform object_from_parent_;
+    FloatTransform parent_from_object_f_;
+};
+
+}  // namespace crofton

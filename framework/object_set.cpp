@@ -1,0 +1,17 @@
+#include "framework/object_set.h"
+
+#include "framework/cost.h"
+
+namespace crofton {
+
+ObjectSet::ObjectSet(std::vector<Object> objects) : objects_(std::move(objects)) {
+    entries_.reserve(objects_.size());
+    for (const Object& object : objects_)
+        entries_.push_back({object.primitive->bounds(), object.instance, object.primitive.get()});
+}
+
+double ObjectSet::cost(uint32_t i) const {
+    return cost_constants.object + entries_[i].primitive->expected_cost();
+}
+
+}  // namespace crofton

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "framework/primitive.h"
+
+namespace crofton {
+
+/// A primitive set whose shapes are Primitives: nesting happens here, and only here.
+class ObjectSet {
+  public:
+    struct Object {
+        std::shared_ptr<const Primitive> primitive;
+        uint32_t instance = 0;  ///< added to the instance ids of hits inside
+    };
+    explicit ObjectSet(std::vector<Object> objects);
+
+    uint32_t size() const { return uint32_t(objects_.size()); }
+    bool active(uint32_t i) const { return !entries_[i].bounds.empty(); }
+    const Bounds3& bounds(uint32_t i) const { return entries_[i].bounds; }
+    Bounds3 clipped_bounds(uint32_t i, const Bounds3& box) const {
+        return intersection(bounds(i), box);
+    }
+    /// What the object expects of a ray that meets its bounds, and the price of entering it.
+    double cost(uint32_t i) const;
+    const Primitive& object(uint32_t i) const { return *entries_[i].primitive; }
+    uint64_t bytes() const { return entries_.size() * (sizeof(Entry) + sizeof(Object)); }
+
+    /// What a leaf reads of an object before it calls it.
+    struct Entry {
+        Bounds3 bounds;
+        uint32_t instance;
+        const Primitive* primitive;
+    };
+    const Entry& entry(uint32_t i) const { return entries_[i]; }
+
+  private:
+    std::vector<Object> objects_;  ///< owns
+    std::vector<Entry> entries_;
+};
+
+/// Leaves of one structure over shapes that are not packed: references in the order of the leaves.
+class ReferenceLeaves {
+  public:
+    template <typename Set>
+    uint32_t add(const Set&, std::span<const uint32_t> shapes) {
+        references_.insert(references_.end(), shapes.begin(), shapes.end());
+        return uint32_t(references_.size() - shapes.size());
+    }
+    const uint32_t* references() const { return references_.data(); }
+    uint64_t bytes() const { return references_.size() * sizeof(uint32_t); }
+    static double cost(double sum, uint32_t) { return sum; }
+    static constexpr bool keeps_set = true;
+
+  private:
+    std::vector<uint32_t> references_;
+};
+
+}  // namespace crofton

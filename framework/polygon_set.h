@@ -1,0 +1,39 @@
+#pragma once
+
+#include <vector>
+
+#include "framework/bounds.h"
+#include "framework/ray_query.h"
+
+namespace crofton {
+
+/// Simple polygons with any number of corners, convex or not, planar up to rounding. Both sides are
+/// hit; u = v = 0. Tested whole (as the standard databases count them), in double on the object-space
+/// ray: corners are sheared to the ray, and the parity of crossings decides; a ray through an edge
+/// is inside. Polygons with a corner that is not finite, or without area, are inactive.
+class PolygonSet {
+  public:
+    /// @param first  index of each polygon's first corner in `corners`, then corners.size()
+    PolygonSet(std::vector<Vec3f> corners, std::vector<uint32_t> first, IdTable ids = {});
+
+    uint32_t size() const { return uint32_t(first_.size() - 1); }
+    bool active(uint32_t i) const { return !normals_[i].isZero(0); }
+    Bounds3 bounds(uint32_t i) const;
+    Bounds3 clipped_bounds(uint32_t i, const Bounds3& box) const {
+        return intersection(bounds(i), box);
+    }
+    double cost(uint32_t i) const;
+    const IdTable& ids() const { return ids_; }
+    uint64_t bytes() const;
+
+    /// t in [query.t_min, query.t_best] at which polygon i is hit.
+    bool intersect(uint32_t i, const LocalRay& ray, const RayQuery& query, float& t) const;
+
+  private:
+    std::vector<Vec3f> corners_;
+    std::vector<uint32_t> first_;
+    std::vector<Vec3d> normals_;  ///< Newell's, not normalised; zero: inactive
+    IdTable ids_;
+};
+
+}  // namespace crofton

@@ -1,0 +1,100 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "framework/bounds.h"
+#include "framework/counters.h"
+#include "framework/ray.h"
+#include "framework/ray_query.h"
+
+namespace crofton {
+
+/// What was built: the structure part of the Best Efficiency Scheme. Nested objects not included.
+struct StructureStatistics {
+    uint64_t N_IN = 0;   ///< interior nodes (trees) or 0 (flat grids)
+    uint64_t N_V = 0;    ///< elementary cells: leaves, grid cells
+    uint64_t N_EV = 0;   ///< of these, the empty ones
+    uint64_t N_OIV = 0;  ///< references to primitives in elementary cells
+    uint64_t bytes = 0;  ///< of the structure with everything that its traversal reads
+    uint32_t depth = 0;  ///< of the deepest leaf; 0 = the root is a leaf
+
+    StructureStatistics& operator+=(const StructureStatistics& o) {
+        N_IN += o.N_IN, N_V += o.N_V, N_EV += o.N_EV, N_OIV += o.N_OIV, bytes += o.bytes;
+        depth = std::max(depth, o.depth);
+        return *this;
+    }
+};
+
+/// Receives the boxes of a structure, parents first. `references` is 0 for inner nodes.
+using BoxVisitor =
+    std::function<void(const Bounds3& box, uint32_t depth, bool leaf, uint32_t references)>;
+
+/// One object that rays can meet: a set of shapes with its accelerator, an instance of another
+/// primitive, or a whole scene. An accelerator is itself a Primitive, so any may hold any.
+///
+/// The virtual functions are the seam: one call an object, and nothing virtual below it. Users call
+/// the functions without `_local`.
+class Primitive {
+  public:
+    virtual ~Primitive() = default;
+    Primitive() = default;
+    Primitive(const Primitive&) = delete;
+    Primitive& operator=(const Primitive&) = delete;
+
+    /// In the primitive's own space; contains every point that a hit can have.
+    const Bounds3& bounds() const { return bounds_; }
+
+    /// Closest hit with t in [ray.t_min, ray.t_max]; of several at the same t, the one with the lowest
+    /// (instance, geometry, primitive). Thread-safe, does not throw.
+    Hit intersect(const Ray& ray) const;
+    /// Whether anything is hit with t in [ray.t_min, ray.t_max].
+    bool occluded(const Ray& ray) const;
+    /// The same for many rays; results are in the order of the rays and equal the single calls bit
+    /// for bit. Spans must have equal length.
+    void intersect(std::span<const Ray> rays, std::span<Hit> hits) const;
+    void occluded(std::span<const Ray> rays, std::span<uint8_t> results) const;
+    /// The same with counting: the hits are identical, the time is not to be measured.
+    Hit intersect(const Ray& ray, Counters& counters) const;
+    bool occluded(const Ray& ray, Counters& counters) const;
+
+    /// @name The seam, for accelerators and instances
+    /// @{
+    virtual void closest_local(const LocalRay& ray, RayQuery& query) const = 0;
+    virtual bool any_local(const LocalRay& ray, RayQuery& query) const = 0;
+    virtual void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
+    virtual bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
+    /// @}
+
+    /// Expected cost in nanoseconds of a ray that meets the bounds (closest hit, ignoring that rays
+    /// end), from the structure as built and the nominal constants of framework/cost.h; nested
+    /// objects included.
+    virtual double expected_cost() const = 0;
+    /// Of this structure alone.
+    virtual StructureStatistics statistics() const = 0;
+    /// Registry name, e.g. "bvh"; "instance" for an instance.
+    virtual std::string type_name() const = 0;
+    /// Visits this structure's own boxes, in its own space.
+    virtual void walk(const BoxVisitor& visit) const = 0;
+    /// Visits the objects directly inside, each once per reference in its set (not per leaf).
+    virtual void children(const std::function<void(const Primitive&)>& visit) const = 0;
+
+  protected:
+    void set_bounds(const Bounds3& bounds) {
+        bounds_ = bounds;
+        magnitude_ = bounds.magnitude();
+    }
+
+  private:
+    Bounds3 bounds_;
+    float magnitude_ = 0;  ///< largest absolute coordinate
+};
+
+/// Sum of statistics over a structure and every distinct one nested in it (shared objects once).
+StructureStatistics total_statistics(const Primitive& root);
+
+}  // namespace crofton

@@ -1,0 +1,107 @@
+#include "framework/ray_query.h"
+
+#include <hwy/highway.h>
+
+#include <bit>
+
+namespace crofton {
+namespace {
+
+// Set-up is the same for every ray and compiled once, for the baseline.
+namespace hn = hwy::HWY_NAMESPACE;
+constexpr hn::FixedTag<float, 4> f4;
+using Float4 = hn::Vec<decltype(f4)>;
+
+float pow2(int exponent) {
+    return std::bit_cast<float>(uint32_t(exponent + 127) << 23);
+}
+
+/// Whether lanes 0 to 2 are neither NaN nor infinite.
+bool finite3(Float4 v) {
+    uint8_t bits[8];
+    hn::StoreMaskBits(f4, hn::Eq(hn::Mul(v, hn::Zero(f4)), hn::Zero(f4)), bits);
+    return (bits[0] & 7) == 7;
+}
+
+/// Denormal or nearly infinite directions: the power of two itself is no float.
+void scale_extreme(const Ray& ray, float largest, RayQuery& query, float& scale) {
+    const int e = std::ilogb(largest);
+    const double down = std::ldexp(1.0, -e), up = std::ldexp(1.0, e);
+    for (int a = 0; a < 3; ++a) query.direction[a] = float(ray.direction[a] * down);
+    query.t_min = float(ray.t_min * up);
+    query.set_best(float(ray.t_max * up));
+    scale = float(down);
+}
+
+void set_shear(RayQuery& q) {
+    const float x = std::abs(q.direction[0]), y = std::abs(q.direction[1]),
+                z = std::abs(q.direction[2]);
+    q.kz = x > y ? (x > z ? 0 : 2) : (y > z ? 1 : 2);
+    q.kx = q.kz == 2 ? 0 : q.kz + 1;
+    q.ky = q.kx == 2 ? 0 : q.kx + 1;
+    q.shear_z = 1.0f / q.direction[q.kz];
+    q.shear_x = q.direction[q.kx] * q.shear_z;
+    q.shear_y = q.direction[q.ky] * q.shear_z;
+}
+
+/// Everything of a LocalRay that follows from origin, direction and pad.
+/// @param limit  of |rcp|: a direction component below 1/limit moves the ray by less than the least
+///               pad over any distance within the object, and may be replaced by that bound
+void complete(LocalRay& ray, Float4 o, Float4 d, Float4 pad, float t_min, float magnitude,
+              float limit) {
+    pad = hn::Add(pad, hn::Set(f4, 0x1p-40f * magnitude));
+    if (HWY_UNLIKELY(t_min < 0))
+        pad = hn::Add(pad, hn::Mul(hn::Set(f4, 4 * box_slack),
+                                   hn::Add(hn::Abs(o), hn::Set(f4, magnitude))));
+    const auto inverse = hn::Div(hn::Set(f4, 1.0f), d);
+    const auto rcp = hn::CopySign(hn::Min(hn::Abs(inverse), hn::Set(f4, limit)), d);
+    const auto shift = hn::CopySign(pad, rcp);
+    hn::StoreU(o, f4, ray.origin);
+    hn::StoreU(d, f4, ray.direction);
+    hn::StoreU(pad, f4, ray.pad);
+    hn::StoreU(rcp, f4, ray.rcp);
+    hn::StoreU(hn::Mul(rcp, hn::Set(f4, 1 + box_slack)), f4, ray.far_rcp);
+    hn::StoreU(hn::Add(o, shift), f4, ray.near_origin);
+    hn::StoreU(hn::Sub(o, shift), f4, ray.far_origin);
+}
+
+}  // namespace
+
+bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, float& scale) {
+    static_assert(offsetof(Ray, direction) == 16, "the fourth lanes are t_min and t_max");
+    const auto o = hn::LoadU(f4, ray.origin.data());
+    const auto d = hn::LoadU(f4, ray.direction.data());
+    const float largest = std::max(std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])),
+                                   std::abs(ray.direction[2]));
+    if (!(largest > 0) || !(ray.t_min <= ray.t_max) || !finite3(o) || !finite3(d)) return false;
+
+    const int exponent = int(std::bit_cast<uint32_t>(largest) >> 23) - 127;
+    if (HWY_LIKELY(exponent >= -126 && exponent <= 126)) {
+        const float down = pow2(-exponent), up = pow2(exponent);
+        hn::StoreU(hn::Mul(d, hn::Set(f4, down)), f4, q.direction);
+        q.t_min = ray.t_min * up;
+        q.set_best(ray.t_max * up);
+        scale = down;
+    } else {
+        scale_extreme(ray, largest, q, scale);
+    }
+    hn::StoreU(o, f4, q.origin);
+    set_shear(q);
+    q.instance = 0;
+    q.hit_ids = nullptr;
+
+    // What the rounding of v - o in a leaf test amounts to where |o| dominates: see LocalRay.
+    local.frame = nullptr;
+    complete(local, o, hn::LoadU(f4, q.direction), hn::Mul(hn::Abs(o), hn::Set(f4, 0x1p-21f)),
+             q.t_min, magnitude, 0x1p60f);
+    return true;
+}
+
+void finish(LocalRay& ray, const RayQuery& query, float magnitude) {
+    const float largest = std::max(
+        std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])), std::abs(ray.direction[2]));
+    complete(ray, hn::LoadU(f4, ray.origin), hn::LoadU(f4, ray.direction), hn::LoadU(f4, ray.pad),
+             query.t_min, magnitude, 0x1p60f / largest);
+}
+
+}  // namespace crofton

@@ -1,0 +1,145 @@
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "framework/ray.h"
+#include "framework/transform.h"
+
+namespace crofton {
+
+class IdTable;
+
+/// The two queries. `closest`: the nearest hit; `any`: whether there is one.
+enum class Query { closest, any };
+
+/// Where an object stands, while a ray is inside it: the whole chain of instances composed in
+/// double, and rounded once. Lives on the stack of the instance that entered the object.
+struct InstanceFrame {
+    Transform world_from_object;
+    Transform object_from_world;
+    FloatTransform world_from_object_f;  ///< rounded(world_from_object)
+    Vec3d origin, direction;             ///< of the ray, in object space
+};
+
+/// A ray in one object's space, prepared for conservative box tests.
+///
+/// A plane at b is met at fl(fl(b - near_origin)·rcp) or later and fl(fl(b - far_origin)·far_rcp) or
+/// earlier, the origins shifted by `pad` apart. The shift covers (a) the rounding of the origin, if it was transformed,
+/// (b) the error of a leaf test that works with fl(v - o), at most 4u·|v - o| per axis, where |o|
+/// dominates, (c) the replacement of 1/d by a finite number where d is 0 or tiny. What grows with
+/// |b - o| is covered by `box_slack`; since it shrinks a negative far distance, `pad` has that share
+/// too where t_min is negative.
+struct LocalRay {
+    // x, y, z, and a lane that means nothing.
+    float origin[4];
+    float direction[4];
+    float near_origin[4];
+    float far_origin[4];
+    float rcp[4];      ///< finite: 1/d, or ±2^60/max|d| where |d| is below that
+    float far_rcp[4];  ///< rcp·(1 + box_slack)
+    float pad[4];      ///< half-width of the thick ray that a structure must follow, >= 0
+    const InstanceFrame* frame;  ///< null: this is world space
+};
+
+/// Relative widening of a far box distance. Two slab distances carry 3 roundings each, γ3 = 3u; a
+/// leaf test may put a hit 8u·|v - o| outside its triangle. 16u = 2^-20 covers both.
+inline constexpr float box_slack = 0x1p-20f;
+/// A leaf test's t is right within 2^-15 (relative; far better unless the ray grazes the shape), so a node
+/// is culled only if it begins beyond
+/// t·(1 + 2^-14): no order of visits can then change which hit is found.
+inline constexpr float cull_slack = 0x1p-14f;
+
+/// One ray's progress. Space: world, with t scaled so that max|direction| is in [1, 2); scaling by a
+/// power of two loses nothing and keeps every product in range for |d| from 1e-30 to 1e30.
+struct RayQuery {
+    float origin[4];
+    float direction[4];
+    float t_min;
+    float t_best;  ///< of the closest hit so far, or t_max
+    float t_cull;  ///< t_best·(1 + cull_slack): what begins beyond it cannot matter
+    /// Shear of the watertight test (Woop, Benthin, Wald 2013): axis order and factors.
+    int kx, ky, kz;
+    float shear_x, shear_y, shear_z;
+
+    uint32_t instance = 0;  ///< sum of the instance offsets on the path to the current object
+    const IdTable* hit_ids = nullptr;  ///< the set that was hit; null: nothing yet
+    uint32_t hit_shape = 0;            ///< index in that set
+    uint32_t hit_instance = 0;
+    float hit_u = 0, hit_v = 0;
+
+    void set_best(float t) {
+        t_best = t;
+        t_cull = t + std::abs(t) * cull_slack;
+    }
+    /// Ids of the current hit.
+    Hit ids() const;
+    /// Records a hit with t in [t_min, t_best] unless one at the same t has lower ids.
+    void record(float t, float u, float v, const IdTable& ids, uint32_t shape);
+};
+
+/// Fills a ray's state, and its LocalRay in the world, from a user's ray.
+/// @param magnitude  largest absolute coordinate of the root's bounds
+/// @param scale      power of two with t_user = t·scale, to give results back
+/// @return false  for a ray that is a defined miss (NaN, infinite, zero direction, empty interval)
+bool prepare(const Ray& ray, float magnitude, RayQuery& query, LocalRay& local, float& scale);
+
+/// Completes a LocalRay from its origin, direction and pad.
+/// @param magnitude  largest absolute coordinate of the object's bounds, in its space
+void finish(LocalRay& ray, const RayQuery& query, float magnitude);
+
+/// Maps a shape's index in a set to what a Hit names: its geometry, its index there, and the
+/// instance (relative to the object's).
+class IdTable {
+  public:
+    /// Shapes from `first` on, until the next run.
+    struct Run {
+        uint32_t first;
+        uint32_t geometry;
+        uint32_t primitive;  ///< of the first shape of the run
+        uint32_t instance;   ///< offset from the object's own
+    };
+    IdTable() : runs_{{0, 0, 0, 0}} {}
+    explicit IdTable(std::vector<Run> runs) : runs_(std::move(runs)) {}
+
+    const Run& run_of(uint32_t shape) const {
+        if (runs_.size() == 1) return runs_[0];
+        const auto it = std::upper_bound(runs_.begin(), runs_.end(), shape,
+                                         [](uint32_t s, const Run& r) { return s < r.first; });
+        return *(it - 1);
+    }
+    void resolve(uint32_t shape, uint32_t base, Hit& hit) const {
+        const Run& run = run_of(shape);
+        hit.primitive = run.primitive + (shape - run.first);
+        hit.geometry = run.geometry;
+        hit.instance = base + run.instance;
+    }
+    size_t bytes() const { return runs_.size() * sizeof(Run); }
+
+  private:
+    std::vector<Run> runs_;  ///< sorted by `first`, the first one 0
+};
+
+inline Hit RayQuery::ids() const {
+    Hit hit;
+    if (hit_ids) hit_ids->resolve(hit_shape, hit_instance, hit);
+    return hit;
+}
+
+inline void RayQuery::record(float t, float u, float v, const IdTable& ids, uint32_t shape) {
+    if (t == t_best && hit_ids) {
+        Hit candidate;
+        ids.resolve(shape, instance, candidate);
+        if (!id_less(candidate, this->ids())) return;
+    }
+    set_best(t);
+    hit_ids = &ids;
+    hit_shape = shape;
+    hit_instance = instance;
+    hit_u = u;
+    hit_v = v;
+}
+
+}  // namespace crofton

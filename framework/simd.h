@@ -1,0 +1,302 @@
+// Vector code of one instruction set; included once per target (see hwy/foreach_target.h), so it
+// has a guard per target instead of `#pragma once`.
+#if defined(CROFTON_FRAMEWORK_SIMD_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CROFTON_FRAMEWORK_SIMD_H_
+#undef CROFTON_FRAMEWORK_SIMD_H_
+#else
+#define CROFTON_FRAMEWORK_SIMD_H_
+#endif
+
+#include <hwy/highway.h>
+
+#include "framework/counters.h"
+#include "framework/object_set.h"
+#include "framework/polygon_set.h"
+#include "framework/quadric_set.h"
+#include "framework/ray_query.h"
+#include "framework/triangle_set.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
+
+/// W floats, or as many as the target has.
+template <int W>
+using Lanes = hn::CappedTag<float, W>;
+
+/// Three corners of N triangles in world space, sheared so that the ray is the z axis.
+template <class D>
+struct ShearedCorners {
+    using V = hn::Vec<D>;
+    V x[3], y[3], z[3];  // z in units of direction[kz], not yet of t
+};
+
+/// World-space coordinate `axis` of corner k: as stored, or mapped in the order of `apply`.
+template <bool Framed, int W, class D>
+HWY_INLINE hn::Vec<D> world_coordinate(D d, const TriangleBlock<W>& block, size_t lane, int k,
+                                       int axis, const InstanceFrame* frame) {
+    if constexpr (!Framed) {
+        return hn::LoadU(d, block.v[k][axis] + lane);
+    } else {
+        const float* m = frame->world_from_object_f.m[axis];
+        const auto x = hn::LoadU(d, block.v[k][0] + lane);
+        const auto y = hn::LoadU(d, block.v[k][1] + lane);
+        const auto z = hn::LoadU(d, block.v[k][2] + lane);
+        return hn::Add(
+            hn::Add(hn::Mul(hn::Set(d, m[0]), x), hn::Mul(hn::Set(d, m[1]), y)),
+            hn::Add(hn::Mul(hn::Set(d, m[2]), z), hn::Set(d, m[3])));
+    }
+}
+
+template <bool Framed, int W, class D>
+HWY_INLINE ShearedCorners<D> shear(D d, const TriangleBlock<W>& block, size_t lane,
+                                   const RayQuery& q, const InstanceFrame* frame) {
+    ShearedCorners<D> c;
+    const auto ox = hn::Set(d, q.origin[q.kx]), oy = hn::Set(d, q.origin[q.ky]),
+               oz = hn::Set(d, q.origin[q.kz]);
+    const auto sx = hn::Set(d, q.shear_x), sy = hn::Set(d, q.shear_y);
+    for (int k = 0; k < 3; ++k) {
+        c.z[k] = hn::Sub(world_coordinate<Framed>(d, block, lane, k, q.kz, frame), oz);
+        c.x[k] = hn::Sub(hn::Sub(world_coordinate<Framed>(d, block, lane, k, q.kx, frame), ox),
+                         hn::Mul(sx, c.z[k]));
+        c.y[k] = hn::Sub(hn::Sub(world_coordinate<Framed>(d, block, lane, k, q.ky, frame), oy),
+                         hn::Mul(sy, c.z[k]));
+    }
+    return c;
+}
+
+/// One lane again, in double: see refine_triangle.
+template <bool Framed, int W>
+HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const RayQuery& q,
+                              const InstanceFrame* frame, float& t, float& u, float& v) {
+    float corners[3][3];
+    for (int k = 0; k < 3; ++k) {
+        Vec3f p(block.v[k][0][lane], block.v[k][1][lane], block.v[k][2][lane]);
+        if constexpr (Framed) p = apply(frame->world_from_object_f, p);
+        for (int a = 0; a < 3; ++a) corners[k][a] = p[a];
+    }
+    return refine_triangle(corners, q, t, u, v);
+}
+
+/// Tests the triangles of one block, in world space (Woop, Benthin, Wald 2013).
+///
+/// An edge function is the difference of two rounded products of rounded, shared coordinates.
+/// Rounding is monotone, so a nonzero sign is right; a zero is decided in double, where the products
+/// are exact. Neighbours thus agree on every edge, and no ray passes between them. Lanes whose t might
+/// be off by more than 2^-15 are recomputed in double; the criterion compares the spread of depth
+/// that an error of the sheared corners can cause with t.
+template <Query Q, bool Framed, int W>
+HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, RayQuery& q,
+                           const IdTable& ids) {
+    const Lanes<W> d;
+    constexpr size_t N = hn::MaxLanes(Lanes<W>());
+    const auto zero = hn::Zero(d);
+    for (size_t lane = 0; lane < W; lane += N) {
+        const auto c = shear<Framed>(d, block, lane, q, ray.frame);
+        const auto a = hn::Sub(hn::Mul(c.x[2], c.y[1]), hn::Mul(c.y[2], c.x[1]));
+        const auto b = hn::Sub(hn::Mul(c.x[0], c.y[2]), hn::Mul(c.y[0], c.x[2]));
+        const auto e = hn::Sub(hn::Mul(c.x[1], c.y[0]), hn::Mul(c.y[1], c.x[0]));
+        const auto low = hn::Min(hn::Min(a, b), e), high = hn::Max(hn::Max(a, b), e);
+        // Both comparisons are false for a lane of NaN.
+        auto hit = hn::Or(hn::Ge(low, zero), hn::Le(high, zero));
+        if (HWY_LIKELY(hn::AllFalse(d, hit))) continue;
+
+        const auto det = hn::Add(hn::Add(a, b), e);
+        const auto rdet = hn::Div(hn::Set(d, 1.0f), det);
+        const auto sz = hn::Set(d, q.shear_z);
+        const auto za = hn::Mul(c.z[0], sz), zb = hn::Mul(c.z[1], sz), zc = hn::Mul(c.z[2], sz);
+        const auto z_low = hn::Min(hn::Min(za, zb), zc), z_high = hn::Max(hn::Max(za, zb), zc);
+        const float t_min = q.t_min - std::abs(q.t_min) * cull_slack;
+        hit = hn::And(hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)),
+                                   hn::Ge(z_high, hn::Set(d, t_min))));
+        if (hn::AllFalse(d, hit)) continue;
+        const auto wb = hn::Mul(b, rdet), wc = hn::Mul(e, rdet);
+        auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)),
+                         hn::Mul(wc, zc));
+        t = hn::Min(hn::Max(t, z_low), z_high);
+
+        const auto reach = hn::Max(
+            hn::Max(hn::Max(hn::Abs(c.x[0]), hn::Abs(c.y[0])),
+                    hn::Max(hn::Abs(c.x[1]), hn::Abs(c.y[1]))),
+            hn::Max(hn::Abs(c.x[2]), hn::Abs(c.y[2])));
+        const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
+        const auto spread = hn::Mul(hn::Mul(hn::Mul(reach, hn::Abs(rdet)), hn::Sub(z_high, z_low)),
+                                    hn::Mul(distance, hn::Set(d, 8.0f)));
+        // Written so that NaN (an area of zero) asks for the exact path, too.
+        const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
+        auto sure = hn::And(hn::And(hn::Lt(spread, hn::Abs(t)), has_area),
+                            hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
+        // Where even the largest error, with the roundings of t itself, leaves t outside the interval,
+        // nothing needs to be sure.
+        const auto error = hn::MulAdd(spread, hn::Set(d, 0x1p-14f),
+                                      hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
+        const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
+                                    hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
+        hit = hn::AndNot(hn::And(outside, has_area), hit);
+        if (hn::AllFalse(d, hit)) continue;
+
+        alignas(64) float ts[N], us[N], vs[N];
+        hn::Store(t, d, ts);
+        hn::Store(wb, d, us);
+        hn::Store(wc, d, vs);
+        uint8_t hit_bits[8] = {}, sure_bits[8] = {};
+        hn::StoreMaskBits(d, hit, hit_bits);
+        hn::StoreMaskBits(d, sure, sure_bits);
+        uint32_t open = hit_bits[0] | (N > 8 ? uint32_t(hit_bits[1]) << 8 : 0);
+        const uint32_t exact = sure_bits[0] | (N > 8 ? uint32_t(sure_bits[1]) << 8 : 0);
+        for (; open; open &= open - 1) {
+            const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(open));
+            if (HWY_UNLIKELY(!(exact >> i & 1)) &&
+                !refine_lane<Framed>(block, lane + i, q, ray.frame, ts[i], us[i], vs[i]))
+                continue;
+            if (!(ts[i] >= q.t_min && ts[i] <= q.t_best)) continue;
+            if constexpr (Q == Query::any) return true;
+            q.record(ts[i], us[i], vs[i], ids, block.id[lane + i]);
+        }
+    }
+    return false;
+}
+
+template <Query Q, int W>
+HWY_INLINE bool test_blocks(const TriangleSet& set, const TriangleBlock<W>* block, uint32_t count,
+                            const LocalRay& ray, RayQuery& q) {
+    for (uint32_t i = 0; i < count; i += W, ++block) {
+        const bool found = ray.frame ? test_block<Q, true>(*block, ray, q, set.ids())
+                                     : test_block<Q, false>(*block, ray, q, set.ids());
+        if (Q == Query::any && found) return true;
+    }
+    return false;
+}
+
+/// @name Leaf tests: every set has both
+/// test_leaf: `count` shapes from `first` on, as TriangleLeaves or ReferenceLeaves stored them.
+/// test_references: shapes named by indices. Return whether an `any` query is answered.
+/// @{
+template <Query Q, class C>
+HWY_INLINE bool test_leaf(const TriangleSet& set, const TriangleLeaves& leaves, uint32_t first,
+                          uint32_t count, const LocalRay& ray, RayQuery& q, C& counters) {
+    counters.test(count);
+    return test_blocks<Q>(set, leaves.blocks() + first, count, ray, q);
+}
+
+/// Gathers up to four triangles into a block: per corner four loads and a transpose.
+HWY_INLINE void gather_block(const TriangleSet& set, const uint32_t* references, uint32_t count,
+                             TriangleBlock<4>& block) {
+    const hn::FixedTag<float, 4> d;
+    const hn::FixedTag<double, 2> d2;
+    const float* xyz = set.coordinates();
+    const TriangleSet::Indices* tri[4];
+    for (uint32_t i = 0; i < 4; ++i) {
+        block.id[i] = references[i < count ? i : 0];
+        tri[i] = set.triangles() + block.id[i];
+    }
+    for (int k = 0; k < 3; ++k) {
+        const auto p = hn::LoadU(d, xyz + 3 * size_t((*tri[0])[k]));
+        const auto q = hn::LoadU(d, xyz + 3 * size_t((*tri[1])[k]));
+        const auto r = hn::LoadU(d, xyz + 3 * size_t((*tri[2])[k]));
+        const auto s = hn::LoadU(d, xyz + 3 * size_t((*tri[3])[k]));
+        const auto pq_low = hn::InterleaveLower(d, p, q), rs_low = hn::InterleaveLower(d, r, s);
+        const auto pq_high = hn::InterleaveUpper(d, p, q), rs_high = hn::InterleaveUpper(d, r, s);
+        const auto x = hn::InterleaveLower(d2, hn::BitCast(d2, pq_low), hn::BitCast(d2, rs_low));
+        const auto y = hn::InterleaveUpper(d2, hn::BitCast(d2, pq_low), hn::BitCast(d2, rs_low));
+        const auto z = hn::InterleaveLower(d2, hn::BitCast(d2, pq_high), hn::BitCast(d2, rs_high));
+        hn::Store(hn::BitCast(d, x), d, block.v[k][0]);
+        hn::Store(hn::BitCast(d, y), d, block.v[k][1]);
+        hn::Store(hn::BitCast(d, z), d, block.v[k][2]);
+    }
+}
+
+template <Query Q, class C>
+HWY_INLINE bool test_references(const TriangleSet& set, const uint32_t* references, uint32_t count,
+                                const LocalRay& ray, RayQuery& q, C& counters) {
+    counters.test(count);
+    TriangleBlock<4> block;
+    for (uint32_t i = 0; i < count; i += 4) {
+        // Spare lanes repeat the first triangle: a tie with itself changes nothing.
+        gather_block(set, references + i, count - i, block);
+        if (test_blocks<Q>(set, &block, 1, ray, q)) return true;
+    }
+    return false;
+}
+
+template <Query Q, class Set, class C>
+HWY_INLINE bool test_shapes(const Set& set, const uint32_t* references, uint32_t count,
+                            const LocalRay& ray, RayQuery& q, C& counters) {
+    counters.test(count);
+    for (uint32_t i = 0; i < count; ++i) {
+        float t;
+        if (!set.intersect(references[i], ray, q, t)) continue;
+        if constexpr (Q == Query::any) return true;
+        q.record(t, 0, 0, set.ids(), references[i]);
+    }
+    return false;
+}
+
+template <Query Q, class C>
+HWY_INLINE bool test_references(const QuadricSet& set, const uint32_t* references, uint32_t count,
+                                const LocalRay& ray, RayQuery& q, C& counters) {
+    return test_shapes<Q>(set, references, count, ray, q, counters);
+}
+
+template <Query Q, class C>
+HWY_INLINE bool test_references(const PolygonSet& set, const uint32_t* references, uint32_t count,
+                                const LocalRay& ray, RayQuery& q, C& counters) {
+    return test_shapes<Q>(set, references, count, ray, q, counters);
+}
+
+/// Conservative box test. @return whether the thick ray may meet `b` within [t_min, t_cull]
+HWY_INLINE bool meets_box(const Bounds3& b, const LocalRay& ray, const RayQuery& q, float& t_near,
+                          float& t_far) {
+    float near = q.t_min, far = q.t_cull;
+    for (int a = 0; a < 3; ++a) {
+        const bool down = std::signbit(ray.rcp[a]);
+        const float lo = down ? b.upper[a] : b.lower[a], hi = down ? b.lower[a] : b.upper[a];
+        near = std::max(near, (lo - ray.near_origin[a]) * ray.rcp[a]);
+        far = std::min(far, (hi - ray.far_origin[a]) * ray.far_rcp[a]);
+    }
+    t_near = near;
+    t_far = far;
+    return near <= far;
+}
+
+template <Query Q, class C>
+HWY_INLINE bool enter_object(const ObjectSet& set, uint32_t i, const LocalRay& ray, RayQuery& q,
+                             C& counters) {
+    const ObjectSet::Entry& entry = set.entry(i);
+    float t_near, t_far;
+    if (!meets_box(entry.bounds, ray, q, t_near, t_far)) return false;
+    const uint32_t outer = q.instance;
+    q.instance = outer + entry.instance;
+    bool found = false;
+    if constexpr (std::is_same_v<C, NoCounters>) {
+        if constexpr (Q == Query::any) found = entry.primitive->any_local(ray, q);
+        else entry.primitive->closest_local(ray, q);
+    } else {
+        if constexpr (Q == Query::any) found = entry.primitive->any_local(ray, q, counters);
+        else entry.primitive->closest_local(ray, q, counters);
+    }
+    q.instance = outer;
+    return found;
+}
+
+template <Query Q, class C>
+HWY_INLINE bool test_references(const ObjectSet& set, const uint32_t* references, uint32_t count,
+                                const LocalRay& ray, RayQuery& q, C& counters) {
+    for (uint32_t i = 0; i < count; ++i)
+        if (enter_object<Q>(set, references[i], ray, q, counters)) return true;
+    return false;
+}
+
+template <Query Q, class Set, class C>
+HWY_INLINE bool test_leaf(const Set& set, const ReferenceLeaves& leaves, uint32_t first,
+                          uint32_t count, const LocalRay& ray, RayQuery& q, C& counters) {
+    return test_references<Q>(set, leaves.references() + first, count, ray, q, counters);
+}
+/// @}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+#endif

@@ -1,0 +1,131 @@
+#include "framework/triangle_set.h"
+
+#include <cmath>
+#include <limits>
+
+#include "framework/cost.h"
+#include "framework/error.h"
+
+namespace crofton {
+
+TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids)
+    : positions_(std::move(positions)), triangles_(std::move(triangles)), ids_(std::move(ids)) {
+    for (size_t i = 0; i < triangles_.size(); ++i)
+        for (uint32_t index : triangles_[i])
+            if (index >= positions_.size())
+                throw InputError("triangle " + std::to_string(i) + ": vertex index " +
+                                 std::to_string(index) + " of " + std::to_string(positions_.size()));
+    positions_.push_back(Vec3f::Zero());
+}
+
+bool TriangleSet::active(uint32_t i) const {
+    return vertex(i, 0).allFinite() && vertex(i, 1).allFinite() && vertex(i, 2).allFinite();
+}
+
+Bounds3 TriangleSet::bounds(uint32_t i) const {
+    Bounds3 b;
+    for (int k = 0; k < 3; ++k) b.extend(vertex(i, k));
+    return b;
+}
+
+double TriangleSet::cost(uint32_t) const { return cost_constants.triangle_block / 4; }
+
+uint64_t TriangleSet::bytes() const {
+    return positions_.size() * sizeof(Vec3f) + triangles_.size() * sizeof(Indices) + ids_.bytes();
+}
+
+Bounds3 TriangleSet::clipped_bounds(uint32_t i, const Bounds3& box) const {
+    // Sutherland–Hodgman in double against the six planes: at most 3 + 6 corners.
+    Vec3d polygon[10], next[10];
+    int n = 3;
+    for (int k = 0; k < 3; ++k) polygon[k] = vertex(i, k).cast<double>();
+    for (int plane = 0; plane < 6 && n > 0; ++plane) {
+        const int a = plane >> 1;
+        const double sign = plane & 1 ? -1 : 1;
+        const double at = plane & 1 ? -double(box.upper[a]) : double(box.lower[a]);
+        int m = 0;
+        for (int k = 0; k < n; ++k) {
+            const Vec3d& p = polygon[k];
+            const Vec3d& q = polygon[(k + 1) % n];
+            const double dp = sign * p[a] - at, dq = sign * q[a] - at;
+            if (dp >= 0) next[m++] = p;
+            if ((dp < 0) != (dq < 0)) {
+                next[m] = p + (q - p) * (dp / (dp - dq));
+                next[m++][a] = sign * at;
+            }
+        }
+        n = m;
+        std::copy(next, next + m, polygon);
+    }
+    Bounds3 out;
+    for (int k = 0; k < n; ++k)
+        for (int a = 0; a < 3; ++a) {
+            // One float step outwards covers the rounding of the cut and of the conversion.
+            const float x = float(polygon[k][a]);
+            out.lower[a] = std::min(out.lower[a], std::nextafter(x, -INFINITY));
+            out.upper[a] = std::max(out.upper[a], std::nextafter(x, INFINITY));
+        }
+    return n > 0 ? intersection(out, intersection(box, bounds(i))) : Bounds3{};
+}
+
+uint32_t TriangleLeaves::add(const TriangleSet& set, std::span<const uint32_t> shapes) {
+    const uint32_t first = uint32_t(blocks_.size());
+    for (size_t i = 0; i < shapes.size(); i += width) {
+        TriangleBlock<width>& block = blocks_.emplace_back();
+        for (int lane = 0; lane < width; ++lane) {
+            const bool used = i + lane < shapes.size();
+            block.id[lane] = used ? shapes[i + lane] : no_id;
+            for (int k = 0; k < 3; ++k)
+                for (int a = 0; a < 3; ++a)
+                    block.v[k][a][lane] = used ? set.vertex(shapes[i + lane], k)[a]
+                                               : std::numeric_limits<float>::quiet_NaN();
+        }
+    }
+    return first;
+}
+
+double TriangleLeaves::cost(double, uint32_t count) {
+    return cost_constants.triangle_block * ((count + width - 1) / width);
+}
+
+bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float& u, float& w) {
+    const int k[3] = {q.kx, q.ky, q.kz};
+    // The sheared corners, rounded as in the SIMD test: shared by all triangles at an edge, so that
+    // exact signs on them partition the plane without gaps.
+    float px[3], py[3];
+    double x[3], y[3], z[3];
+    const double sx = double(q.direction[k[0]]) / q.direction[k[2]];
+    const double sy = double(q.direction[k[1]]) / q.direction[k[2]];
+    for (int i = 0; i < 3; ++i) {
+        const float pz = v[i][k[2]] - q.origin[k[2]];
+        px[i] = (v[i][k[0]] - q.origin[k[0]]) - q.shear_x * pz;
+        py[i] = (v[i][k[1]] - q.origin[k[1]]) - q.shear_y * pz;
+        const double zi = double(v[i][k[2]]) - q.origin[k[2]];
+        x[i] = (double(v[i][k[0]]) - q.origin[k[0]]) - sx * zi;
+        y[i] = (double(v[i][k[1]]) - q.origin[k[1]]) - sy * zi;
+        z[i] = zi / q.direction[k[2]];
+    }
+    // Products of two floats are exact in double, and a difference keeps its sign.
+    const double e[3] = {double(px[2]) * py[1] - double(py[2]) * px[1],
+                         double(px[0]) * py[2] - double(py[0]) * px[2],
+                         double(px[1]) * py[0] - double(py[1]) * px[0]};
+    const bool negative = e[0] < 0 || e[1] < 0 || e[2] < 0;
+    const bool positive = e[0] > 0 || e[1] > 0 || e[2] > 0;
+    if (negative == positive) return false;  // outside, edge-on (all zero), or NaN
+
+    double b[3] = {x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2], x[1] * y[0] - y[1] * x[0]};
+    double det = b[0] + b[1] + b[2];
+    // Where even double sees no area of the right sign, the rounded shear must do.
+    if (!((det > 0) == positive) || det == 0) {
+        std::copy(e, e + 3, b);
+        det = e[0] + e[1] + e[2];
+    }
+    const double lo = std::min({z[0], z[1], z[2]}), hi = std::max({z[0], z[1], z[2]});
+    const double exact_t = (b[0] * z[0] + b[1] * z[1] + b[2] * z[2]) / det;
+    t = float(std::clamp(exact_t, lo, hi));
+    u = float(std::clamp(b[1] / det, 0.0, 1.0));
+    w = float(std::clamp(b[2] / det, 0.0, 1.0));
+    return true;
+}
+
+}  // namespace crofton

@@ -1,0 +1,77 @@
+#pragma once
+
+#include <array>
+#include <span>
+#include <vector>
+
+#include "framework/aligned.h"
+#include "framework/bounds.h"
+#include "framework/ray_query.h"
+
+namespace crofton {
+
+/// Triangles with shared vertices, in object space. Those with a vertex that is NaN or infinite are
+/// inactive: they keep their index and are never referenced.
+class TriangleSet {
+  public:
+    using Indices = std::array<uint32_t, 3>;
+
+    /// @param triangles  indices into `positions`
+    /// @throws InputError  an index is out of range
+    TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids = {});
+
+    uint32_t size() const { return uint32_t(triangles_.size()); }
+    bool active(uint32_t i) const;
+    const Vec3f& vertex(uint32_t i, int k) const { return positions_[triangles_[i][k]]; }
+    Bounds3 bounds(uint32_t i) const;
+    /// Box of the part of triangle i inside `box`, rounded outwards; empty if there is none.
+    Bounds3 clipped_bounds(uint32_t i, const Bounds3& box) const;
+    /// Nominal nanoseconds of one test.
+    double cost(uint32_t i) const;
+    const IdTable& ids() const { return ids_; }
+    uint64_t bytes() const;
+    /// A set with the same ids and no shapes: what a structure with its own copy keeps.
+    TriangleSet ids_only() const { return TriangleSet({}, {}, ids_); }
+
+    const Indices* triangles() const { return triangles_.data(); }
+    /// Vertices as packed floats; one more may be read behind the last.
+    const float* coordinates() const { return positions_.front().data(); }
+
+  private:
+    std::vector<Vec3f> positions_;  ///< and one dummy at the end
+    std::vector<Indices> triangles_;
+    IdTable ids_;
+};
+
+/// W triangles side by side, coordinate by coordinate. Unused lanes hold NaN, which no test accepts.
+template <int W>
+struct alignas(sizeof(float) * W) TriangleBlock {
+    float v[3][3][W];  ///< [vertex][axis][lane]
+    uint32_t id[W];    ///< index in the set
+};
+static_assert(sizeof(TriangleBlock<4>) == 160 && sizeof(TriangleBlock<8>) == 320);
+
+/// Leaves of one structure over triangles: a copy in the order of the leaves, packed for SIMD.
+class TriangleLeaves {
+  public:
+    static constexpr int width = 4;
+
+    /// Appends a leaf. @return its first block
+    uint32_t add(const TriangleSet& set, std::span<const uint32_t> shapes);
+    const TriangleBlock<width>* blocks() const { return blocks_.data(); }
+    uint64_t bytes() const { return blocks_.size() * sizeof(TriangleBlock<width>); }
+    /// Nominal cost of a leaf, given the sum of its shapes' costs: blocks are tested whole.
+    static double cost(double sum, uint32_t count);
+    static constexpr bool keeps_set = false;  ///< the set itself is not read in traversal
+
+  private:
+    AlignedVector<TriangleBlock<width>> blocks_;
+};
+
+/// The watertight test of one triangle, with edge signs decided in double and t, u, v computed in
+/// double: for the rays that graze an edge or the plane. Sees the same rounded shear as the SIMD test.
+/// @param v  world-space vertices
+/// @return whether it is hit at any t; t within a float ulp unless the triangle is seen edge-on
+bool refine_triangle(const float (&v)[3][3], const RayQuery& query, float& t, float& u, float& w);
+
+}  // namespace crofton
