@@ -1,0 +1,165 @@
+#include "accelerators/kdtree.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "accelerators/kdtree.cpp"
+#include <hwy/foreach_target.h>
+
+#include "accelerators/thick_ray.h"
+#include "framework/accelerator.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+
+struct KdTreeTraversal {
+    struct Entry {
+        const KdNode* node;
+        float t_enter, t_leave;
+    };
+
+    template <Query Q, class Set, class C>
+    static bool run(const KdTree<Set>& tree, const Set& set, const LocalRay& ray, RayQuery& q,
+                    C& counters) {
+        float t_near, t_far;
+        if (tree.nodes.empty() || !meets_box(tree.box, ray, q, t_near, t_far)) return false;
+        if (HWY_UNLIKELY(tree.mailbox)) {
+            Mailbox mailbox;
+            const auto leaf = [&](const uint32_t* references, uint32_t count) HWY_ATTR {
+                return mailbox.test_fresh(
+                    references, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
+                        return test_references<Q>(set, fresh, n, ray, q, counters);
+                    });
+            };
+            return follow(tree, ray, q, counters, leaf);
+        }
+        return follow(tree, ray, q, counters,
+                      [&](const uint32_t* references, uint32_t count) HWY_ATTR {
+                          return test_references<Q>(set, references, count, ray, q, counters);
+                      });
+    }
+
+  private:
+    /// Front to back with an explicit stack (Ericson & Havran's sequential traversal); where the
+    /// thick ray meets a plane within the cell, both sides are visited, their intervals
+    /// overlapping.
+    template <class Set, class C, class Leaf>
+    static HWY_INLINE bool follow(const KdTree<Set>& tree, const LocalRay& ray, RayQuery& q,
+                                  C& counters, const Leaf& test) {
+        const ThickRay thick(tree.box, tree.magnitude, ray, q);
+        const KdNode* nodes = tree.nodes.data();
+        Entry stack[KdTree<Set>::max_depth];
+        Entry* top = stack;
+        const KdNode* node = nodes;
+        float t_enter = thick.t_enter, t_leave = thick.t_leave;
+        while (true) {
+            while (!node->is_leaf()) {
+                counters.step();
+                const ThickRay::Axis& axis = thick.axis[node->axis()];
+                const float enter_second = axis.enter(node->split());
+                const float leave_first = axis.leave(node->split());
+                const KdNode* children[2] = {node + 1, nodes + node->above()};
+                const KdNode* first = children[axis.down];
+                const KdNode* second = children[axis.down ^ 1];
+                if (leave_first < t_enter) {
+                    node = second;
+                } else if (enter_second > t_leave) {
+                    node = first;
+                } else {
+                    *top++ = {second, std::max(t_enter, enter_second), t_leave};
+                    node = first;
+                    t_leave = std::min(t_leave, leave_first);
+                }
+            }
+            counters.step();
+            const uint32_t count = node->count();
+            counters.cell(count == 0);
+            if (count > 0) {
+                const uint32_t* references =
+                    count == 1 ? &node->value : tree.references.data() + node->value;
+                if (test(references, count)) return true;
+            }
+            // Overlapping intervals do not begin in strict order, so each is looked at.
+            do {
+                if (top == stack) return false;
+                --top;
+            } while (top->t_enter > q.t_cull);
+            node = top->node;
+            t_enter = top->t_enter;
+            t_leave = std::min(top->t_leave, q.t_cull);
+        }
+    }
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+CROFTON_ACCELERATOR_KERNELS(KdTree, KdTreeTraversal, KdTreeParameters)
+
+#if HWY_ONCE
+#include "accelerators/leaves.h"
+
+namespace crofton {
+template <class Set>
+KdTree<Set> KdTree<Set>::build(const Set& set, const KdTreeParameters& p) {
+    KdTree tree;
+    std::vector<BuildReference> shapes = build_references(set);
+    if (shapes.empty()) return tree;
+    const double n = double(shapes.size());
+    double cost_sum = 0;
+    for (const BuildReference& r : shapes) cost_sum += r.cost;
+    const ClipShape clip = [&](uint32_t i, const Bounds3& box) {
+        return set.clipped_bounds(i, box);
+    };
+    const KdTreeData data =
+        build_kd_tree(std::move(shapes), clip,
+                      {p.builder, p.max_depth, p.max_leaf_size, p.bins, p.empty_bonus,
+                       reference_costs<Set>(cost_constants.plane)});
+
+    tree.nodes.assign(data.nodes.begin(), data.nodes.end());
+    tree.references.assign(data.references.begin(), data.references.end());
+    tree.box = data.box;
+    tree.magnitude = data.box.magnitude();
+    tree.cost = data.cost;
+    tree.walk([&](const Bounds3&, uint32_t depth, bool leaf, uint32_t references) {
+        tree.stats.N_IN += !leaf;
+        tree.stats.N_V += leaf;
+        tree.stats.N_EV += leaf && references == 0;
+        tree.stats.N_OIV += references;
+        tree.stats.depth = std::max(tree.stats.depth, depth);
+    });
+    tree.stats.bytes =
+        tree.nodes.size() * sizeof(KdNode) + tree.references.size() * sizeof(uint32_t);
+    tree.mailbox = wants_mailbox(p.mailbox, std::is_same_v<Set, ObjectSet>,
+                                 double(tree.stats.N_OIV), n, cost_sum / n);
+    return tree;
+}
+
+template <class Set>
+void KdTree<Set>::walk(const BoxVisitor& visit) const {
+    if (nodes.empty()) return;
+    struct Open {
+        uint32_t node, depth;
+        Bounds3 cell;
+    };
+    std::vector<Open> open{{0, 0, box}};
+    while (!open.empty()) {
+        const Open o = open.back();
+        open.pop_back();
+        const KdNode& n = nodes[o.node];
+        visit(o.cell, o.depth, n.is_leaf(), n.is_leaf() ? n.count() : 0);
+        if (n.is_leaf()) continue;
+        Open below{o.node + 1, o.depth + 1, o.cell}, above{n.above(), o.depth + 1, o.cell};
+        below.cell.upper[n.axis()] = above.cell.lower[n.axis()] = n.split();
+        open.push_back(above);
+        open.push_back(below);
+    }
+}
+
+CROFTON_REGISTER_ACCELERATOR(
+    KdTree, KdTreeParameters, "kdtree",
+    "axis-aligned planes placed by the area heuristic, shapes clipped to their cells",
+    "Kaplan 1985; MacDonald & Booth 1990; Havran 2000; Wald & Havran 2006");
+
+}  // namespace crofton
+#endif

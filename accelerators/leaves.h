@@ -1,0 +1,37 @@
+#pragma once
+
+#include <type_traits>
+
+#include "accelerators/binary_tree.h"
+#include "framework/cost.h"
+#include "framework/object_set.h"
+#include "framework/polygon_set.h"
+#include "framework/quadric_set.h"
+#include "framework/triangle_set.h"
+
+namespace crofton {
+
+/// How the leaves of a tree over `Set` are stored.
+template <class Set>
+using Leaves = std::conditional_t<std::is_same_v<Set, TriangleSet>, TriangleLeaves, ReferenceLeaves>;
+
+template <class Set>
+TreeCosts tree_costs(double node) {
+    TreeCosts costs;
+    costs.node = node;
+    if constexpr (std::is_same_v<Set, TriangleSet>) {
+        costs.leaf_width = TriangleLeaves::width;
+        costs.leaf_block = cost_constants.triangle_block;
+    }
+    return costs;
+}
+
+/// The same where leaves are lists of references: triangles are gathered by fours before their test.
+template <class Set>
+TreeCosts reference_costs(double node) {
+    TreeCosts costs = tree_costs<Set>(node);
+    if constexpr (std::is_same_v<Set, TriangleSet>) costs.leaf_block += cost_constants.triangle_gather;
+    return costs;
+}
+
+}  // namespace crofton

@@ -1,0 +1,557 @@
+#include "accelerators/nested_grid.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "accelerators/nested_grid.cpp"
+#include <hwy/foreach_target.h>
+
+#include "accelerators/grid_walk.h"
+#include "framework/accelerator.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+
+/// One ray's way through all grids of a structure.
+template <Query Q, bool UseMailbox, class Set, class C>
+class NestedGridWalk {
+  public:
+    NestedGridWalk(const NestedGrid<Set>& nested, const Set& set, const LocalRay& ray, RayQuery& q,
+                   C& counters)
+        : nested_(nested), set_(set), ray_(ray), q_(q), counters_(counters), exact_(ray, q) {}
+
+    /// Every grid decides for itself whether its margins hold the ray's thickness: fine grids have
+    /// narrow margins. The depth of the recursion is that of the structure.
+    bool enter(uint32_t index) {
+        const NestedGridHeader& grid = nested_.grids[index];
+        const uint32_t* codes = nested_.cells.data() + grid.first_cell;
+        double reach[3];
+        bool thick = false;
+        for (int a = 0; a < 3; ++a) {
+            reach[a] = grid.space.reach(ray_, a);
+            thick |= reach[a] > grid.space.margin[a];
+        }
+        double t_enter, t_leave;
+        const auto visit = [&](size_t cell) HWY_ATTR {
+            const uint32_t code = codes[cell];
+            counters_.step();
+            if (code & nested_cell::grid_flag) return enter(code & ~nested_cell::grid_flag);
+            counters_.cell(code == 0);
+            return code != 0 && test_list(nested_.references.data() + (code - 1));
+        };
+        const auto past = [&](double t) HWY_ATTR { return t > double(q_.t_cull); };
+        if (HWY_UNLIKELY(thick)) {
+            if (!meets_grid(grid.space, exact_, q_, reach, t_enter, t_leave)) return false;
+            return walk_cells_thick(grid.space, ray_, t_enter, t_leave, visit, past);
+        }
+        // The box is a margin larger than what is in it, so that the exact ray is inside it wherever a
+        // shape may be hit.
+        constexpr double none[3] = {0, 0, 0};
+        if (!meets_grid(grid.space, exact_, q_, none, t_enter, t_leave)) return false;
+        return walk_grid(grid.space, exact_, t_enter, visit, past);
+    }
+
+  private:
+    bool test_list(const uint32_t* list) {
+        const uint32_t count = *list & ~nested_cell::grid_flag;
+        if (count > 0 && test_shapes_of(list + 1, count)) return true;
+        if (HWY_LIKELY(!(*list & nested_cell::grid_flag))) return false;
+        const uint32_t* grids = list + 1 + count;
+        for (uint32_t i = 1; i <= grids[0]; ++i) {
+            // An object that stands in several cells is walked once, as a rule.
+            uint32_t& seen = entered_[grids[i] % remembered];
+            if (seen == grids[i]) continue;
+            seen = grids[i];
+            if (enter(grids[i])) return true;
+        }
+        return false;
+    }
+    bool test_shapes_of(const uint32_t* shapes, uint32_t count) {
+        if constexpr (!UseMailbox) {
+            return test_references<Q>(set_, shapes, count, ray_, q_, counters_);
+        } else {
+            constexpr uint32_t batch = 64;
+            for (uint32_t i = 0; i < count; i += batch) {
+                uint32_t fresh[batch];
+                const uint32_t n = mailbox_.filter(shapes + i, std::min(batch, count - i), fresh);
+                if (n && test_references<Q>(set_, fresh, n, ray_, q_, counters_)) return true;
+            }
+            return false;
+        }
+    }
+
+    struct Empty {};
+    static constexpr uint32_t remembered = 16;
+    const NestedGrid<Set>& nested_;
+    const Set& set_;
+    const LocalRay& ray_;
+    RayQuery& q_;
+    C& counters_;
+    const ExactRay exact_;
+    [[no_unique_address]] std::conditional_t<UseMailbox, Mailbox, Empty> mailbox_;
+    uint32_t entered_[remembered] = {};  ///< 0, the root, never stands in a list
+};
+
+struct NestedGridTraversal {
+    template <Query Q, class Set, class C>
+    static bool run(const NestedGrid<Set>& nested, const Set& set, const LocalRay& ray, RayQuery& q,
+                    C& counters) {
+        if (nested.grids.empty()) return false;
+        if (nested.mailbox)
+            return NestedGridWalk<Q, true, Set, C>(nested, set, ray, q, counters).enter(0);
+        return NestedGridWalk<Q, false, Set, C>(nested, set, ray, q, counters).enter(0);
+    }
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+CROFTON_ACCELERATOR_KERNELS(NestedGrid, NestedGridTraversal, NestedGridParameters)
+
+#if HWY_ONCE
+#include "accelerators/shape_clusters.h"
+#include "framework/cost.h"
+#include "framework/crofton.h"
+#include "framework/parallel.h"
+
+namespace crofton {
+namespace {
+
+using nested_cell::grid_flag;
+
+constexpr double enter_cost = 12.0;          ///< nominal ns to enter a grid
+constexpr double two_level_coarseness = 16;  ///< the top grid of two has so many fewer cells
+constexpr double merge_ratio = 1.5;          ///< Havran & Sixta 1999: f of their adaptive grids
+constexpr double most_per_shape = 32;        ///< references and cells of one grid, per shape in it
+constexpr size_t most_words = size_t(1) << 30;
+
+/// A grid in the making.
+struct Draft {
+    GridSpace space;
+    Bounds3 content;                     ///< of what stands in it
+    std::vector<uint32_t> first, items;  ///< per cell; items: shapes, or grid_flag | draft
+    std::vector<std::pair<uint32_t, uint32_t>> children;  ///< cell, draft; by cell
+    double cost = 0;                     ///< of a line that meets the content
+    std::span<const uint32_t> in(size_t cell) const {
+        return {items.data() + first[cell], items.data() + first[cell + 1]};
+    }
+};
+
+template <class Set>
+class NestedGridBuilder {
+  public:
+    NestedGridBuilder(const Set& set, const NestedGridParameters& p, NestedGrid<Set>& out)
+        : set_(set), p_(p), out_(out) {}
+
+    void build() {
+        std::vector<BuildReference> shapes = build_references(set_);
+        if (shapes.empty()) return;
+        for (const BuildReference& r : shapes) out_.box.extend(r.bounds);
+        const size_t active = shapes.size();
+        double cost_sum = 0;
+        for (const BuildReference& r : shapes) cost_sum += r.cost;
+
+        uint32_t root = 0;
+        switch (p_.method) {
+            case NestedGridMethod::two_level:
+                root = add(make(all(shapes), nullptr, p_.density / two_level_coarseness));
+                refine({root}, 2);
+                break;
+            case NestedGridMethod::recursive:
+                root = add(make(all(shapes), nullptr, p_.density));
+                refine({root}, p_.max_depth);
+                break;
+            case NestedGridMethod::adaptive: root = build_adaptive(std::move(shapes)); break;
+            case NestedGridMethod::hierarchy: root = build_hierarchy(shapes); break;
+        }
+        write(root, 0);
+        out_.cost = drafts_[root].cost;
+        out_.stats.N_IN = out_.grids.size();
+        out_.stats.bytes = out_.grids.size() * sizeof(NestedGridHeader) +
+                           (out_.cells.size() + out_.references.size()) * sizeof(uint32_t);
+        out_.mailbox = wants_mailbox(p_.mailbox, std::is_same_v<Set, ObjectSet>,
+                                     double(out_.stats.N_OIV), double(active),
+                                     cost_sum / double(active));
+    }
+
+  private:
+    using Items = std::vector<uint32_t>;
+    struct Part {
+        uint32_t item;
+        Bounds3 box;
+    };
+
+    static Items all(const std::vector<BuildReference>& shapes) {
+        Items items;
+        items.reserve(shapes.size());
+        for (const BuildReference& r : shapes) items.push_back(r.shape);
+        return items;
+    }
+    uint32_t add(Draft draft) {
+        drafts_.push_back(std::move(draft));
+        return uint32_t(drafts_.size() - 1);
+    }
+
+    // What a shape and a grid that stands in cells have in common.
+    double item_cost(uint32_t item) const {
+        if (item & grid_flag) return enter_cost + drafts_[item & ~grid_flag].cost;
+        const bool gathered = std::is_same_v<Set, TriangleSet>;
+        return set_.cost(item) + (gathered ? cost_constants.triangle_gather / 4 : 0);
+    }
+    Bounds3 item_box(uint32_t item) const {
+        return item & grid_flag ? drafts_[item & ~grid_flag].content : set_.bounds(item);
+    }
+    double item_magnitude(uint32_t item) const {
+        return item & grid_flag ? drafts_[item & ~grid_flag].space.magnitude
+                                : double(set_.bounds(item).magnitude());
+    }
+    Bounds3 item_part(uint32_t item, const Bounds3& region) const {
+        if (item & grid_flag) return intersection(item_box(item), region);
+        const Bounds3 whole = set_.bounds(item);
+        return region.contains(whole) ? whole : set_.clipped_bounds(item, region);
+    }
+
+    /// How many cells an item may stand in: a flat shape fills a layer of its box at most.
+    static double cells_of(const Bounds3& box, const Vec3d& cell) {
+        double n[3], most = 1, least = std::numeric_limits<double>::infinity();
+        for (int a = 0; a < 3; ++a) {
+            n[a] = 1 + (double(box.upper[a]) - box.lower[a]) / cell[a];
+            most *= n[a];
+            least = std::min(least, n[a]);
+        }
+        const bool flat = std::is_same_v<Set, TriangleSet> || std::is_same_v<Set, PolygonSet>;
+        return flat ? most / least * std::min(least, 1.5) : most;
+    }
+
+    /// The rule's resolution, lowered until large shapes cannot fill the memory.
+    Vec3i resolution_for(const std::vector<Part>& parts, const Bounds3& box, double density) const {
+        UniformGridParameters rule;
+        rule.resolution = p_.resolution;
+        rule.density = density;
+        Vec3i n = grid_resolution(rule, box, parts.size());
+        const double most = most_per_shape * double(parts.size()) + 4096;
+        const Vec3d extent = (box.upper.cast<double>() - box.lower.cast<double>())
+                                 .cwiseMax(std::numeric_limits<float>::min());
+        const size_t stride = std::max<size_t>(1, parts.size() / 1024);
+        while (n.maxCoeff() > 1) {
+            const Vec3d cell = extent.cwiseQuotient(n.cast<double>());
+            double sum = 0;
+            for (size_t i = 0; i < parts.size(); i += stride) sum += cells_of(parts[i].box, cell);
+            if (sum * double(stride) <= most && n.cast<double>().prod() <= most) break;
+            n = (n.cast<double>() * 0.8).cast<int>().cwiseMax(1);
+        }
+        return n;
+    }
+
+    /// A grid a margin larger than its content. Margins hold the reach of rays that begin within a few
+    /// sizes of the whole scene, unless that would make them a large part of a fine cell, but always that
+    /// of rays that begin near the shapes themselves.
+    GridSpace space_for(const Bounds3& content, const Vec3i& n, double magnitude) const {
+        constexpr float largest = std::numeric_limits<float>::max();
+        Bounds3 box = content;
+        double margin[3];
+        for (int a = 0; a < 3; ++a) {
+            const double cell = (double(content.upper[a]) - content.lower[a]) / n[a];
+            const double wanted = 0x1p-18 * double(out_.box.magnitude());
+            margin[a] = std::max({0x1p-12 * cell, 0x1p-19 * magnitude,
+                                  n[a] == 1 ? wanted : std::min(wanted, cell / 4),
+                                  double(std::numeric_limits<float>::min())});
+            box.lower[a] = std::nextafter(float(box.lower[a] - margin[a]), -largest);
+            box.upper[a] = std::nextafter(float(box.upper[a] + margin[a]), largest);
+        }
+        GridSpace space(box, n);
+        space.magnitude = magnitude;
+        std::copy(margin, margin + 3, space.margin);
+        return space;
+    }
+
+    /// @param region  what to clip the items to; null: nothing
+    /// @return        a grid without cells if nothing of the items is inside
+    Draft make(std::span<const uint32_t> items, const Bounds3* region, double density) const {
+        Draft draft;
+        std::vector<Part> parts(items.size());
+        const size_t grain = 2048;
+        parallel_for(items.size(), grain, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i)
+                parts[i] = {items[i], region ? item_part(items[i], *region) : item_box(items[i])};
+        });
+        std::erase_if(parts, [](const Part& part) { return part.box.empty(); });
+        if (parts.empty()) return draft;
+        double magnitude = 0;
+        for (const Part& part : parts) {
+            draft.content.extend(part.box);
+            magnitude = std::max(magnitude, item_magnitude(part.item));
+        }
+        draft.space = space_for(draft.content, resolution_for(parts, draft.content, density), magnitude);
+        sort_into_cells(parts, draft);
+        draft.cost = flat_cost(draft);
+        return draft;
+    }
+
+    /// Counting sort by cell; items stay in their order within one.
+    void sort_into_cells(const std::vector<Part>& parts, Draft& draft) const {
+        constexpr size_t range = 2048;
+        using Entry = std::pair<uint32_t, uint32_t>;
+        std::vector<std::vector<Entry>> entries((parts.size() + range - 1) / range);
+        parallel_for(entries.size(), 1, [&](size_t begin, size_t end) {
+            for (size_t k = begin; k < end; ++k)
+                for (size_t i = k * range; i < std::min(parts.size(), (k + 1) * range); ++i)
+                    cells_of_part(draft.space, parts[i], [&](int x, int y, int z) {
+                        entries[k].emplace_back(uint32_t(draft.space.at(x, y, z)), parts[i].item);
+                    });
+        });
+        draft.first.assign(draft.space.cells() + 1, 0);
+        for (const auto& list : entries)
+            for (const Entry& e : list) ++draft.first[e.first + 1];
+        for (size_t c = 0; c < draft.space.cells(); ++c) draft.first[c + 1] += draft.first[c];
+        draft.items.resize(draft.first.back());
+        std::vector<uint32_t> next(draft.first.begin(), draft.first.end() - 1);
+        for (const auto& list : entries)
+            for (const Entry& e : list) draft.items[next[e.first]++] = e.second;
+    }
+    template <class Visit>
+    void cells_of_part(const GridSpace& space, const Part& part, Visit&& visit) const {
+        if (!(part.item & grid_flag)) {
+            for_each_cell(space, set_, part.item, part.box, visit);
+            return;
+        }
+        int low[3], high[3];
+        for (int a = 0; a < 3; ++a) {
+            low[a] = space.index(a, part.box.lower[a] - space.margin[a]);
+            high[a] = space.index(a, part.box.upper[a] + space.margin[a]);
+        }
+        for (int z = low[2]; z <= high[2]; ++z)
+            for (int y = low[1]; y <= high[1]; ++y)
+                for (int x = low[0]; x <= high[0]; ++x) visit(x, y, z);
+    }
+
+    /// Expected cost of a line that meets the content, all cells being lists.
+    double flat_cost(const Draft& draft) const {
+        double sum = 0;
+        for (const uint32_t item : draft.items) sum += item_cost(item);
+        return line_cost(draft, sum);
+    }
+    double line_cost(const Draft& draft, double cost_of_cells) const {
+        const double cells = expected_cells(draft.space.resolution, draft.content);
+        return cells * (cost_constants.cell + cost_of_cells / double(draft.space.cells()));
+    }
+
+    /// The best grid for the content of one cell, or one without cells if a list costs less.
+    Draft split(const Draft& parent, uint32_t cell) const {
+        const Vec3i& n = parent.space.resolution;
+        const int x = int(cell % uint32_t(n[0])), y = int(cell / uint32_t(n[0]) % uint32_t(n[1]));
+        const int z = int(cell / uint32_t(n[0]) / uint32_t(n[1]));
+        const Bounds3 box = parent.space.cell_box(x, y, z);
+        Bounds3 region = box;
+        for (int a = 0; a < 3; ++a) {
+            region.lower[a] = std::nextafter(float(box.lower[a] - parent.space.margin[a]), -INFINITY);
+            region.upper[a] = std::nextafter(float(box.upper[a] + parent.space.margin[a]), INFINITY);
+        }
+        const std::span<const uint32_t> items = parent.in(cell);
+        double least = 0;
+        for (const uint32_t item : items) least += item_cost(item);
+        // Two levels choose the resolution where it counts; recursion gets there level by level.
+        const bool choose = p_.method == NestedGridMethod::two_level;
+        Draft best;
+        for (const double factor : {1.0, 4.0, 16.0}) {
+            Draft draft = make(items, &region, p_.density * factor);
+            if (draft.first.empty()) break;
+            const double cost =
+                std::min(1.0, hit_probability(draft.content, box)) * (enter_cost + draft.cost);
+            const bool better = cost < least && draft.items.size() <= most_per_shape * items.size();
+            if (better) {
+                least = cost;
+                best = std::move(draft);
+            }
+            if (!choose || !better) break;
+        }
+        return best;
+    }
+
+    /// Gives grids to crowded cells, level by level, until nothing is gained, the levels are used up or
+    /// memory would be.
+    void refine(std::vector<uint32_t> open, int levels) {
+        size_t words = 0;
+        for (int level = 1; level < levels && !open.empty(); ++level) {
+            std::vector<std::pair<uint32_t, uint32_t>> tasks;
+            for (const uint32_t d : open)
+                for (uint32_t c = 0; c + 1 < drafts_[d].first.size(); ++c)
+                    if (drafts_[d].in(c).size() > size_t(p_.max_per_cell)) tasks.push_back({d, c});
+            std::vector<Draft> found(tasks.size());
+            parallel_for(tasks.size(), 1, [&](size_t begin, size_t end) {
+                for (size_t t = begin; t < end; ++t)
+                    found[t] = split(drafts_[tasks[t].first], tasks[t].second);
+            });
+            open.clear();
+            for (size_t t = 0; t < tasks.size(); ++t) {
+                if (found[t].first.empty()) continue;
+                words += found[t].first.size() + found[t].items.size();
+                if (words > most_words / 4) return;
+                open.push_back(add(std::move(found[t])));
+                drafts_[tasks[t].first].children.push_back({tasks[t].second, open.back()});
+            }
+        }
+    }
+
+    uint32_t build_adaptive(std::vector<BuildReference> shapes) {
+        Items top;
+        std::vector<uint32_t> grids;
+        for (const ShapeCluster& cluster : clusters_by_place(std::move(shapes), merge_ratio)) {
+            if (cluster.shapes.size() <= size_t(p_.max_per_cell)) {
+                top.insert(top.end(), cluster.shapes.begin(), cluster.shapes.end());
+                continue;
+            }
+            grids.push_back(add(make(cluster.shapes, nullptr, p_.density)));
+        }
+        refine(grids, p_.max_depth);
+        return root_over(std::move(top), grids);
+    }
+
+    uint32_t build_hierarchy(const std::vector<BuildReference>& shapes) {
+        std::vector<ShapeCluster> clusters = clusters_by_size(shapes, p_.max_depth);
+        Items top;
+        std::vector<uint32_t> top_grids;
+        std::erase_if(clusters, [&](const ShapeCluster& c) {
+            if (c.shapes.size() > size_t(p_.max_per_cell)) return false;
+            top.insert(top.end(), c.shapes.begin(), c.shapes.end());
+            return true;
+        });
+        // Small sizes come first, so that a grid is there when its parent needs it.
+        std::vector<Items> inside(clusters.size());
+        for (size_t c = 0; c < clusters.size(); ++c) {
+            Items items = clusters[c].shapes;
+            items.insert(items.end(), inside[c].begin(), inside[c].end());
+            const uint32_t draft = add(make(items, nullptr, p_.density));
+            const size_t parent = parent_of(clusters, c);
+            if (parent < clusters.size())
+                inside[parent].push_back(grid_flag | draft);
+            else
+                top_grids.push_back(draft);
+        }
+        return root_over(std::move(top), top_grids);
+    }
+    /// The smallest cluster of larger shapes that encloses cluster c, among the first of each size.
+    static size_t parent_of(const std::vector<ShapeCluster>& clusters, size_t c) {
+        constexpr size_t most = 256;
+        size_t best = clusters.size();
+        double least = std::numeric_limits<double>::infinity();
+        size_t looked = 0;
+        for (size_t k = clusters.size(); k-- > c + 1 && looked < most; ++looked) {
+            if (clusters[k].size_class == clusters[c].size_class) break;
+            const double area = half_area(clusters[k].bounds);
+            if (area >= least || !clusters[k].bounds.contains(clusters[c].bounds)) continue;
+            best = k;
+            least = area;
+        }
+        return best;
+    }
+
+    /// A grid over shapes and grids, unless one grid is all there is.
+    uint32_t root_over(Items shapes, const std::vector<uint32_t>& grids) {
+        if (shapes.empty() && grids.size() == 1) return grids[0];
+        std::sort(shapes.begin(), shapes.end());
+        for (const uint32_t g : grids) shapes.push_back(grid_flag | g);
+        return add(make(shapes, nullptr, p_.density));
+    }
+
+    /// Copies a draft and what stands in it to the flat arrays. @return its place in `grids`
+    uint32_t write(uint32_t d, uint32_t depth) {
+        const uint32_t index = uint32_t(out_.grids.size());
+        const size_t first_cell = out_.cells.size(), count = drafts_[d].space.cells();
+        out_.grids.push_back({drafts_[d].space, uint32_t(first_cell), depth});
+        out_.cells.resize(first_cell + count, 0);
+        out_.stats.depth = std::max(out_.stats.depth, depth + 1);
+
+        double cost = 0;
+        auto child = drafts_[d].children.begin();
+        for (uint32_t c = 0; c < count; ++c) {
+            if (child != drafts_[d].children.end() && child->first == c) {
+                ++child;
+                continue;
+            }
+            const std::span<const uint32_t> items = drafts_[d].in(c);
+            ++out_.stats.N_V;
+            out_.stats.N_EV += items.empty();
+            if (!items.empty()) out_.cells[first_cell + c] = write_list(items);
+            for (const uint32_t item : items) cost += item_cost(item);
+        }
+        for (const auto& [c, inner] : drafts_[d].children) {
+            out_.cells[first_cell + c] = grid_flag | write(inner, depth + 1);
+            cost += enter_cost + drafts_[inner].cost;
+        }
+        patch_lists(d, first_cell, depth);
+        drafts_[d].cost = line_cost(drafts_[d], cost);
+        return index;
+    }
+    uint32_t write_list(std::span<const uint32_t> items) {
+        const uint32_t place = uint32_t(out_.references.size());
+        uint32_t shapes = 0;
+        while (shapes < items.size() && !(items[shapes] & grid_flag)) ++shapes;
+        const uint32_t grids = uint32_t(items.size()) - shapes;
+        out_.references.push_back(shapes | (grids > 0 ? grid_flag : 0));
+        out_.references.insert(out_.references.end(), items.begin(), items.begin() + shapes);
+        if (grids > 0) out_.references.push_back(grids);
+        out_.references.insert(out_.references.end(), items.begin() + shapes, items.end());
+        out_.stats.N_OIV += shapes;
+        return place + 1;
+    }
+    /// Writes the grids that stand in lists, each once, and puts their places into the lists.
+    void patch_lists(uint32_t d, size_t first_cell, uint32_t depth) {
+        for (size_t c = 0; c < drafts_[d].space.cells(); ++c) {
+            const uint32_t code = out_.cells[first_cell + c];
+            if (code == 0 || (code & grid_flag) || !(out_.references[code - 1] & grid_flag)) continue;
+            const size_t grids = code + (out_.references[code - 1] & ~grid_flag);
+            for (size_t i = grids + 1; i <= grids + out_.references[grids]; ++i) {
+                const uint32_t draft = out_.references[i] & ~grid_flag;
+                auto [it, fresh] = written_.try_emplace(draft, 0);
+                if (fresh) it->second = write(draft, depth + 1);
+                out_.references[i] = it->second;
+            }
+        }
+    }
+
+    const Set& set_;
+    const NestedGridParameters& p_;
+    NestedGrid<Set>& out_;
+    std::vector<Draft> drafts_;
+    std::map<uint32_t, uint32_t> written_;  ///< draft → grid, of those in lists
+};
+
+}  // namespace
+
+template <class Set>
+NestedGrid<Set> NestedGrid<Set>::build(const Set& set, const NestedGridParameters& p) {
+    NestedGrid nested;
+    NestedGridBuilder<Set>(set, p, nested).build();
+    return nested;
+}
+
+template <class Set>
+void NestedGrid<Set>::walk(const BoxVisitor& visit) const {
+    // Cells reach a margin beyond the shapes.
+    const auto inside = [&](const Bounds3& b) {
+        Bounds3 cut = intersection(b, box);
+        cut.upper = cut.upper.cwiseMax(cut.lower);
+        return cut;
+    };
+    for (const NestedGridHeader& grid : grids) {
+        visit(inside(grid.space.box), grid.depth, false, 0);
+        const uint32_t* code = cells.data() + grid.first_cell;
+        for (int z = 0; z < grid.space.resolution[2]; ++z)
+            for (int y = 0; y < grid.space.resolution[1]; ++y)
+                for (int x = 0; x < grid.space.resolution[0]; ++x, ++code) {
+                    if (*code & nested_cell::grid_flag) continue;
+                    const uint32_t n =
+                        *code ? references[*code - 1] & ~nested_cell::grid_flag : 0;
+                    visit(inside(grid.space.cell_box(x, y, z)), grid.depth + 1, true, n);
+                }
+    }
+}
+
+CROFTON_REGISTER_ACCELERATOR(
+    NestedGrid, NestedGridParameters, "nested_grid",
+    "grids in the cells of grids: two levels, recursive, around clusters, or by size of shape",
+    "Jevans & Wyvill 1989; Cazals et al. 1995; Klimaszewski & Sederberg 1997; Ize et al. 2007");
+
+}  // namespace crofton
+#endif
