@@ -1,0 +1,92 @@
+#include "scenegraph/shape_sets.h"
+
+#include "framework/error.h"
+#include "framework/polygon_set.h"
+#include "framework/quadric_set.h"
+#include "framework/triangle_set.h"
+
+namespace crofton {
+namespace {
+
+QuadricShape shape_of(const Quadric& quadric) {
+    if (const Sphere* s = std::get_if<Sphere>(&quadric))
+        return {QuadricKind::sphere, s->center, s->radius, Vec3f::Zero(), 0};
+    if (const Cone* c = std::get_if<Cone>(&quadric))
+        return {QuadricKind::cone, c->base, c->base_radius, c->apex, c->apex_radius};
+    const Disc& d = std::get<Disc>(quadric);
+    return {QuadricKind::disc, d.center, d.radius, d.normal, d.inner_radius};
+}
+
+}  // namespace
+
+bool ShapeSetBuilder::add_mesh(uint32_t mesh, const Transform* world_from_object, uint32_t instance,
+                               Kinds kinds) {
+    FloatTransform map;
+    if (world_from_object) map = rounded(*world_from_object);
+    bool complete = true;
+    for (uint32_t g : scene_.meshes[mesh].geometries) {
+        const auto& shapes = scene_.geometries[g].shapes;
+        if (const auto* triangles = std::get_if<TriangleMesh>(&shapes)) {
+            if (kinds == all_but_triangles || triangles->triangles.empty()) continue;
+            triangle_runs_.push_back({uint32_t(triangles_.size()), g, 0, instance});
+            add(*triangles, world_from_object ? &map : nullptr);
+        } else if (world_from_object) {
+            complete = complete && std::holds_alternative<Points>(shapes);
+        } else if (const auto* quadrics = std::get_if<Quadrics>(&shapes)) {
+            quadric_runs_.push_back({uint32_t(quadrics_.size()), g, 0, instance});
+            add(*quadrics);
+        } else if (const auto* polygons = std::get_if<Polygons>(&shapes)) {
+            polygon_runs_.push_back({uint32_t(first_corner_.size()), g, 0, instance});
+            add(*polygons);
+        }
+    }
+    return complete;
+}
+
+void ShapeSetBuilder::add(const TriangleMesh& mesh, const FloatTransform* map) {
+    const size_t base = positions_.size();
+    if (base + mesh.positions.size() > UINT32_MAX ||
+        triangles_.size() + mesh.triangles.size() >= no_id)
+        throw InputError(scene_.source + ": more than 2^32 vertices or triangles in one set");
+    for (const Vec3f& p : mesh.positions) positions_.push_back(map ? apply(*map, p) : p);
+    for (const auto& t : mesh.triangles)
+        triangles_.push_back({uint32_t(base + t[0]), uint32_t(base + t[1]), uint32_t(base + t[2])});
+    shapes_ += mesh.triangles.size();
+}
+
+void ShapeSetBuilder::add(const Quadrics& quadrics) {
+    quadrics_.insert(quadrics_.end(), quadrics.shapes.begin(), quadrics.shapes.end());
+    shapes_ += quadrics.shapes.size();
+}
+
+void ShapeSetBuilder::add(const Polygons& polygons) {
+    const uint32_t base = uint32_t(corners_.size());
+    corners_.insert(corners_.end(), polygons.positions.begin(), polygons.positions.end());
+    for (uint32_t i = 0; i < polygons.size(); ++i)
+        first_corner_.push_back(base + polygons.first[i]);
+    shapes_ += polygons.size();
+}
+
+std::vector<PrimitiveSet> ShapeSetBuilder::take() {
+    std::vector<PrimitiveSet> sets;
+    if (!quadrics_.empty()) {
+        std::vector<QuadricShape> shapes;
+        shapes.reserve(quadrics_.size());
+        for (const Quadric& q : quadrics_) shapes.push_back(shape_of(q));
+        sets.push_back(std::make_shared<const QuadricSet>(std::move(shapes),
+                                                          IdTable(std::move(quadric_runs_))));
+    }
+    if (!first_corner_.empty()) {
+        first_corner_.push_back(uint32_t(corners_.size()));
+        sets.push_back(std::make_shared<const PolygonSet>(
+            std::move(corners_), std::move(first_corner_), IdTable(std::move(polygon_runs_))));
+    }
+    if (!triangles_.empty() || sets.empty()) {
+        IdTable ids = triangle_runs_.empty() ? IdTable() : IdTable(std::move(triangle_runs_));
+        sets.push_back(std::make_shared<const TriangleSet>(std::move(positions_),
+                                                           std::move(triangles_), std::move(ids)));
+    }
+    return sets;
+}
+
+}  // namespace crofton

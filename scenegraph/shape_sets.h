@@ -1,0 +1,46 @@
+#pragma once
+
+#include <vector>
+
+#include "framework/primitive_sets.h"
+#include "framework/ray_query.h"
+#include "scenegraph/scene.h"
+
+namespace crofton {
+
+/// Collects the geometries of meshes into one primitive set of each kind, with the ids that hits
+/// name.
+class ShapeSetBuilder {
+  public:
+    explicit ShapeSetBuilder(const Scene& scene) : scene_(scene) {}
+
+    enum Kinds { all, all_but_triangles };
+
+    /// Adds a mesh. With a transform, triangles are baked (mapped as an Instance would map them, to
+    /// the same bits) and other shapes are not added.
+    /// @param instance  offset of the ids
+    /// @return whether all of the mesh was added
+    bool add_mesh(uint32_t mesh, const Transform* world_from_object, uint32_t instance,
+                  Kinds kinds = all);
+
+    uint64_t triangles() const { return triangles_.size(); }
+    uint64_t shapes() const { return shapes_; }
+    /// The sets that are not empty, or an empty triangle set if all are.
+    std::vector<PrimitiveSet> take();
+
+  private:
+    void add(const TriangleMesh& mesh, const FloatTransform* map);
+    void add(const Quadrics& quadrics);
+    void add(const Polygons& polygons);
+
+    const Scene& scene_;
+    uint64_t shapes_ = 0;
+    std::vector<Vec3f> positions_;
+    std::vector<std::array<uint32_t, 3>> triangles_;
+    std::vector<Quadric> quadrics_;
+    std::vector<Vec3f> corners_;
+    std::vector<uint32_t> first_corner_;
+    std::vector<IdTable::Run> triangle_runs_, quadric_runs_, polygon_runs_;
+};
+
+}  // namespace crofton
