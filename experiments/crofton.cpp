@@ -1,0 +1,255 @@
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstdio>
+#include <iostream>
+#include <memory>
+
+#include "experiments/camera.h"
+#include "experiments/catalog.h"
+#include "experiments/experiment.h"
+#include "experiments/image.h"
+#include "experiments/inspect.h"
+#include "experiments/progress.h"
+#include "experiments/random.h"
+#include "experiments/report.h"
+#include "experiments/results.h"
+#include "experiments/runner.h"
+#include "experiments/sweep.h"
+#include "framework/error.h"
+
+namespace crofton {
+namespace {
+
+constexpr int check_failed = 1, bad_input = 2;
+
+struct RunArguments {
+    std::string config, out, hits;
+    std::vector<std::string> settings;
+    bool quiet = false;
+};
+
+struct InspectArguments {
+    std::string scene, accelerator, config;
+    InspectOptions options;
+};
+
+struct RenderArguments {
+    std::string scene, out = "out.png", shade = "normal", accelerator = "bvh";
+    std::string eye, at, up;
+    double fov = 0;
+    int width = 640, height = 480;
+    std::vector<std::string> settings;
+};
+
+std::map<std::string, uint64_t> seeds_of(const ExperimentFile& file) {
+    std::map<std::string, uint64_t> seeds;
+    for (const Experiment& e : file.experiments)
+        for (const WorkloadSpec& w : e.workloads) seeds[w.name] = w.seed;
+    return seeds;
+}
+
+std::map<std::string, std::string> inputs_of(const ExperimentFile& file) {
+    std::map<std::string, std::string> inputs;
+    for (const Experiment& e : file.experiments) inputs.merge(file_hashes(e.scene));
+    return inputs;
+}
+
+int run(const RunArguments& arguments) {
+    const ExperimentFile file = load_experiments(arguments.config, arguments.settings);
+    Results results(arguments.out, file.stem);
+    results.write_text("resolved.toml", to_toml_document(file.resolved));
+    results.write_text("manifest.json",
+                       manifest_json(arguments.config, inputs_of(file), seeds_of(file)));
+    RunOutput output;
+    Progress progress(arguments.quiet);
+    size_t steps = 0;
+    for (const Experiment& experiment : file.experiments) steps += step_count(experiment);
+    progress.set_total(steps);
+    for (const Experiment& experiment : file.experiments)
+        run_experiment(experiment, arguments.hits, results, progress, output);
+    progress.clear();
+    const std::string text = report_text(output, results.folder(), false);
+    results.write_text("report.txt", text);
+    fmt::print("{}", color_on_stdout() ? report_text(output, results.folder(), true) : text);
+    return output.mismatches.empty() ? 0 : check_failed;
+}
+
+SceneSpec scene_spec(const std::string& name) {
+    SceneSpec spec;
+    spec.base = scene_source(name);
+    return spec;
+}
+
+int inspect(const InspectArguments& arguments) {
+    const Scene scene = make_scene(scene_spec(arguments.scene));
+    std::unique_ptr<Assembly> assembly;
+    if (!arguments.config.empty()) {
+        const ExperimentFile file = load_experiments(arguments.config, {});
+        const std::vector<Variant>& variants = file.experiments.front().variants;
+        assembly = std::make_unique<Assembly>(assemble(scene, variants.front().plan));
+    } else if (!arguments.accelerator.empty()) {
+        assembly = std::make_unique<Assembly>(assemble(scene, uniform_plan(arguments.accelerator)));
+    }
+    fmt::print("{}", inspect_text(scene, assembly.get(), arguments.options));
+    return 0;
+}
+
+/// "x,y,z" as a TOML array.
+ConfigValue vector_value(const std::string& text, const std::string& option) {
+    return parse_config_value("[" + text + "]", option);
+}
+
+/// What `render` does, as a config: a key without dots is a parameter of the accelerator.
+ConfigValue render_config(const RenderArguments& arguments) {
+    const auto text = [](const std::string& t) { return ConfigValue::of(t, "crofton render"); };
+    ConfigValue root;
+    root.place = "crofton render";
+    ConfigValue& scene = root.set("scene", ConfigValue{});
+    const SceneSource source = scene_source(arguments.scene);
+    ConfigValue& name = source.file.empty() ? scene.set("procedural", text(source.procedural))
+                                            : scene.set("file", text(source.file));
+    name.from_command_line = true;
+    ConfigValue& camera = root.set("camera", ConfigValue{});
+    if (!arguments.eye.empty()) camera.set("eye", vector_value(arguments.eye, "--eye"));
+    if (!arguments.at.empty()) camera.set("at", vector_value(arguments.at, "--at"));
+    if (!arguments.up.empty()) camera.set("up", vector_value(arguments.up, "--up"));
+    if (arguments.fov != 0) camera.set("fov", ConfigValue::of(arguments.fov, "--fov"));
+    ConfigValue& accelerator = root.set("accelerator", ConfigValue{}).set("main", ConfigValue{});
+    accelerator.set("type", text(arguments.accelerator));
+    ConfigValue& assign = root.set("assign", ConfigValue{});
+    assign.set("top", text("main"));
+    assign.set("default", text("main"));
+    for (std::string setting : arguments.settings) {
+        if (setting.substr(0, setting.find('=')).find('.') == std::string::npos)
+            setting = "accelerator.main." + setting;
+        apply_setting(root, setting, config_sections());
+    }
+    return root;
+}
+
+int render(const RenderArguments& arguments) {
+    const Experiment experiment = parse_experiment(render_config(arguments), "");
+    Progress progress;
+    progress.set_total(3);
+    progress.step("loading the scene");
+    const Scene scene = make_scene(experiment.scene);
+    const SceneStatistics s = statistics(scene);
+    progress.step("building");
+    const Assembly assembly = assemble(scene, experiment.variants.front().plan);
+    const BoundingSphere sphere = bounding_sphere(s.bounds_min, s.bounds_max);
+    const Camera camera = choose_camera(experiment.scene.camera, scene, sphere);
+    progress.step("drawing");
+    const Primitive& root = *assembly.root;
+    if (arguments.shade == "normal") {
+        write_png(arguments.out,
+                  normal_image(scene, root, camera, arguments.width, arguments.height));
+    } else {
+        constexpr double max_s = 60;
+        const CostMap map = cost_map(root, camera, arguments.width, arguments.height, max_s);
+        write_png(arguments.out, heat_image(map, map.highest));
+    }
+    progress.clear();
+    fmt::print("{}\n", arguments.out);
+    return 0;
+}
+
+void add_run(CLI::App& app, RunArguments& a) {
+    CLI::App& sub =
+        *app.add_subcommand("run", "Run an experiment: build, check, time, count, draw");
+    sub.add_option("config", a.config, "Experiment (TOML)")->required();
+    sub.add_option("--out", a.out, "Folder for the results; otherwise results/NAME-TIME");
+    sub.add_option("--set", a.settings, "path=value: overrides a key, e.g. run.repeats=11")
+        ->expected(1)
+        ->take_all();
+    sub.add_option("--hits", a.hits,
+                   "File for the hits of each ray: float32 t, u, v, uint32 primitive, geometry, "
+                   "instance; may contain {variant} and {workload}");
+    sub.add_flag("--quiet", a.quiet, "No progress");
+}
+
+void add_inspect(CLI::App& app, InspectArguments& a) {
+    CLI::App& sub = *app.add_subcommand("inspect", "Show what a scene holds");
+    sub.add_option("scene", a.scene, "File, or procedural:NAME")->required();
+    sub.add_flag("--json", a.options.json, "As JSON, without the tree of nodes");
+    sub.add_flag("--all", a.options.all, "Every node, however many");
+    sub.add_option("--accelerator", a.accelerator, "Build with this one everywhere, and show it");
+    sub.add_option("--config", a.config,
+                   "Build as the first variant of this config says, and show it");
+}
+
+void add_render(CLI::App& app, RenderArguments& a) {
+    CLI::App& sub = *app.add_subcommand("render", "Draw a scene as a PNG");
+    sub.add_option("scene", a.scene, "File, or procedural:NAME")->required();
+    sub.add_option("-o,--out", a.out, "PNG to write")->capture_default_str();
+    sub.add_option("--shade", a.shade, "normal, or cost: a heat map of steps and tests")
+        ->capture_default_str()
+        ->check(CLI::IsMember({"normal", "cost"}));
+    sub.add_option("--width", a.width, "Pixels")
+        ->capture_default_str()
+        ->check(CLI::Range(1, 16384));
+    sub.add_option("--height", a.height, "Pixels")
+        ->capture_default_str()
+        ->check(CLI::Range(1, 16384));
+    sub.add_option("--accelerator", a.accelerator, "For everything")->capture_default_str();
+    sub.add_option("--set", a.settings,
+                   "key=value: a parameter of the accelerator, or of the scene as "
+                   "scene.parameters.KEY=VALUE")
+        ->expected(1)
+        ->take_all();
+    sub.add_option("--eye", a.eye, "x,y,z: where the camera stands");
+    sub.add_option("--at", a.at, "x,y,z: what it looks at");
+    sub.add_option("--up", a.up, "x,y,z: otherwise 0,1,0");
+    sub.add_option("--fov", a.fov,
+                   "Vertical field of view in degrees; otherwise the camera's, or 45");
+}
+
+/// @return  exit code
+int dispatch(int argc, char** argv) {
+    CLI::App app("Crofton: nested acceleration structures for ray intersection, and their costs");
+    app.require_subcommand(1);
+    app.set_version_flag("--version", version_text());
+    RunArguments run_arguments;
+    InspectArguments inspect_arguments;
+    RenderArguments render_arguments;
+    bool list_json = false;
+    add_run(app, run_arguments);
+    add_inspect(app, inspect_arguments);
+    add_render(app, render_arguments);
+    CLI::App& list = *app.add_subcommand("list", "List accelerators, workloads and scenes");
+    list.add_flag("--json", list_json, "As JSON");
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::ParseError& error) {
+        // Help and the version are no errors; everything else is bad input.
+        if (error.get_exit_code() == 0) return app.exit(error);
+        throw InputError(error.what());
+    }
+    if (app.got_subcommand("run")) return run(run_arguments);
+    if (app.got_subcommand("inspect")) return inspect(inspect_arguments);
+    if (app.got_subcommand("render")) return render(render_arguments);
+    fmt::print("{}", list_json ? catalog_json() : catalog_text());
+    return 0;
+}
+
+std::string one_line(std::string text) {
+    std::replace(text.begin(), text.end(), '\n', ' ');
+    return text;
+}
+
+}  // namespace
+}  // namespace crofton
+
+int main(int argc, char** argv) {
+    try {
+        return crofton::dispatch(argc, argv);
+    } catch (const crofton::InputError& error) {
+        fmt::print(stderr, "crofton: error: {}\n", crofton::one_line(error.what()));
+    } catch (const std::bad_alloc&) {
+        fmt::print(stderr, "crofton: error: not enough memory for this input\n");
+    } catch (const std::exception& error) {
+        fmt::print(stderr, "crofton: error: {}\n", crofton::one_line(error.what()));
+    }
+    return crofton::bad_input;
+}

@@ -1,0 +1,36 @@
+#pragma once
+
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "framework/config.h"
+#include "scenegraph/assemble.h"
+
+namespace crofton {
+
+/// One way to assemble the scene.
+struct Variant {
+    std::string name;
+    AssemblyPlan plan;
+    std::optional<int64_t> max_rays;                         ///< timed per pass
+    std::string canonical;                                   ///< equal texts: equal structures
+    std::vector<std::pair<std::string, ConfigValue>> sweep;  ///< the values that led here
+};
+
+/// Reads [accelerator], [assign] and [[variant]] of the config's root. Without variants there is
+/// one, "default", as [assign] says; without [assign] it is a bvh over bvhs.
+/// @throws InputError  unknown accelerator or parameter, a cycle of `inside`, two variants of one
+/// name
+std::vector<Variant> parse_variants(ConfigTable& root);
+
+/// A plan that gives the whole scene one registered accelerator with its defaults.
+AssemblyPlan uniform_plan(const std::string& accelerator_name);
+
+/// Equal texts: equal structures.
+std::string canonical(const AcceleratorChoice& choice);
+
+}  // namespace crofton

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "experiments/statistics.h"
+#include "framework/config.h"
+#include "framework/counters.h"
+#include "framework/primitive.h"
+
+namespace crofton {
+
+/// The result of one variant on one workload: a line of rows.jsonl.
+struct Row {
+    std::string key;  ///< hash of all that the result depends on but the machine
+    std::string scene, variant, accelerator, workload, query;
+    uint64_t rays = 0;          ///< of the workload
+    uint64_t rays_timed = 0;    ///< per pass; fewer than all for slow variants
+    uint64_t rays_checked = 0;  ///< traced for `hits`, the check and the counters
+    uint64_t hits = 0;          ///< of the rays checked
+    std::string hits_checksum;
+    uint64_t mismatches = 0;  ///< rays whose hit differs from the reference variant's
+    std::string checked_against;
+    uint64_t triangles = 0, triangles_instanced = 0, shapes = 0, instances = 0;
+    double build_s = 0;
+    StructureStatistics structure;  ///< nested structures included
+    Counters counters;              ///< sums over rays_checked
+    MedianInterval ns_per_ray;
+    std::vector<double> ns_per_ray_raw;  ///< one a pass
+    double expected_ns = 0;              ///< Primitive::expected_cost
+    int64_t repeats = 0, threads = 1;
+    int core = -1;  ///< that timed passes were pinned to
+    uint64_t seed = 0;
+    std::string isa, host;
+    std::vector<std::pair<std::string, ConfigValue>> sweep;
+};
+
+/// One line of JSON without the line's end. Numbers that are not finite become null.
+std::string to_json_line(const Row& row);
+
+/// Nesting as text from the structure itself, e.g. "bvh(uniform_grid)"; instances are passed
+/// through, and equal children are named once.
+std::string describe(const Primitive& root);
+
+}  // namespace crofton

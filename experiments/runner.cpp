@@ -1,0 +1,358 @@
+#include "experiments/runner.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <optional>
+
+#include "experiments/hash.h"
+#include "experiments/image.h"
+#include "experiments/measure.h"
+#include "experiments/workload.h"
+#include "framework/error.h"
+#include "framework/registry.h"
+
+namespace crofton {
+namespace {
+
+constexpr double shortest_pass_s =
+    2e-3;                          ///< shorter passes are repeated within, for the clock's sake
+constexpr double picture_s = 2.0;  ///< aim for one heat map
+
+struct Built {
+    const Variant* spec;
+    Assembly assembly;
+    StructureStatistics structure;
+    std::string text;
+};
+
+/// One variant on one workload.
+struct Trial {
+    const Built* built;
+    double pilot = 0;             ///< ns per ray
+    std::vector<size_t> timed;    ///< indices of the rays of a pass; empty = all
+    std::vector<Ray> timed_rays;  ///< these rays; empty = all
+    int inner = 1;                ///< times a pass repeats its rays
+    bool check_all = true;
+    std::vector<double> pass_ns;
+    Row row;
+};
+
+bool same_hit(const Hit& a, const Hit& b) {
+    return a.primitive == b.primitive && a.geometry == b.geometry && a.instance == b.instance &&
+           std::bit_cast<uint32_t>(a.t) == std::bit_cast<uint32_t>(b.t);
+}
+
+std::string checksum(const std::vector<Hit>& hits) {
+    Fnv1a hash;
+    for (const Hit& hit : hits) {
+        hash.add(&hit.t, sizeof hit.t);
+        hash.add(&hit.primitive, 3 * sizeof(uint32_t));
+    }
+    return hash.hex();
+}
+
+void write_hits(const std::string& path, const std::vector<Hit>& hits) {
+    std::ofstream file(path, std::ios::binary);
+    file.write(reinterpret_cast<const char*>(hits.data()),
+               std::streamsize(hits.size() * sizeof(Hit)));
+    file.close();
+    if (!file) throw InputError(path + ": cannot be written");
+}
+
+std::string hit_text(const Hit& h) {
+    if (!h.is_hit()) return "a miss";
+    return fmt::format("t {} at primitive {} of geometry {} of instance {}", h.t, h.primitive,
+                       h.geometry, h.instance);
+}
+
+class Run {
+  public:
+    Run(const Experiment& experiment, const std::string& hits_path, Results& results,
+        Progress& progress, RunOutput& output)
+        : spec_(experiment),
+          hits_path_(hits_path),
+          results_(results),
+          progress_(progress),
+          output_(output) {}
+
+    void all() {
+        set_isa(spec_.run.isa.empty() ? available_isas().back() : spec_.run.isa);
+        progress_.step("loading the scene");
+        load();
+        for (const Variant& variant : spec_.variants) build(variant);
+        for (size_t i = 0; i < spec_.workloads.size(); ++i) run_workload(i);
+        if (spec_.run.pictures) draw();
+    }
+
+  private:
+    void load() {
+        scene_ = make_scene(spec_.scene);
+        inputs_ = file_hashes(spec_.scene);
+        instances_ = mesh_instances(scene_);
+        statistics_ = statistics(scene_);
+        sphere_ = bounding_sphere(statistics_.bounds_min, statistics_.bounds_max);
+        constexpr size_t most = 5;
+        for (size_t i = 0; i < std::min(most, scene_.warnings.size()); ++i)
+            output_.notes.push_back(scene_.name + ": " + scene_.warnings[i]);
+        if (scene_.warnings.size() > most)
+            output_.notes.push_back(
+                fmt::format("{}: {} more warnings", scene_.name, scene_.warnings.size() - most));
+    }
+
+    void build(const Variant& variant) {
+        progress_.step("building " + variant.name);
+        Built built{&variant, assemble(scene_, variant.plan), {}, {}};
+        built.structure = total_statistics(*built.assembly.root);
+        built.text = describe(*built.assembly.root);
+        for (const std::string& warning : built.assembly.warnings)
+            output_.notes.push_back(variant.name + ": " + warning);
+        built_.push_back(std::move(built));
+    }
+
+    /// A bvh of its own, so that rays do not depend on the variants.
+    const Primitive& reference() {
+        if (!reference_) reference_ = assemble(scene_, uniform_plan("bvh"));
+        return *reference_->root;
+    }
+
+    void run_workload(size_t index) {
+        const WorkloadSpec& workload = spec_.workloads[index];
+        progress_.step("making rays: " + workload.name);
+        const bool secondary =
+            workload.type != "primary" && workload.type != "random" && workload.type != "file";
+        const Primitive& from = secondary ? reference() : *built_.front().assembly.root;
+        rays_ = make_rays(workload, {scene_, instances_, from, sphere_, spec_.scene.camera});
+        if (rays_.empty()) throw InputError("workload '" + workload.name + "': there are no rays");
+        any_ = workload.any;
+        std::vector<Trial> trials;
+        for (const Built& built : built_) trials.push_back(plan_trial(built, workload));
+        check(trials, workload);
+        time(trials, workload);
+        for (Trial& trial : trials) finish(trial, index);
+    }
+
+    Tracing timed_tracing() const { return {any_, int(spec_.run.threads)}; }
+
+    Trial plan_trial(const Built& built, const WorkloadSpec& workload) {
+        Trial trial;
+        trial.built = &built;
+        trial.pilot = std::max(1e-3, pilot_ns(*built.assembly.root, rays_, timed_tracing()));
+        double most = std::max(1.0, spec_.run.max_pass_s * 1e9 / trial.pilot);
+        if (built.spec->max_rays) most = std::min(most, double(*built.spec->max_rays));
+        if (most < double(rays_.size())) {
+            trial.timed = strided_sample(rays_.size(), size_t(most), workload.seed);
+            for (const size_t i : trial.timed) trial.timed_rays.push_back(rays_[i]);
+        }
+        const double pass_s = trial.pilot * 1e-9 * double(timed_rays(trial).size());
+        trial.inner = int(std::clamp(std::ceil(shortest_pass_s / pass_s), 1.0, 1e4));
+        trial.check_all = trial.pilot * 1e-9 * double(rays_.size()) <= spec_.run.max_check_s;
+        return trial;
+    }
+
+    std::span<const Ray> timed_rays(const Trial& trial) const {
+        return trial.timed.empty() ? std::span<const Ray>(rays_) : trial.timed_rays;
+    }
+    std::span<const Ray> checked_rays(const Trial& trial) const {
+        return trial.check_all ? std::span<const Ray>(rays_) : timed_rays(trial);
+    }
+
+    /// Traces every variant once, which also warms it up, and compares with the fastest.
+    void check(std::vector<Trial>& trials, const WorkloadSpec& workload) {
+        progress_.step("checking hits: " + workload.name);
+        auto reference = std::min_element(trials.begin(), trials.end(),
+                                          [](auto& a, auto& b) { return a.pilot < b.pilot; });
+        reference->check_all = true;
+        const Tracing tracing{any_, 0};
+        const std::vector<Hit> expected =
+            trace_hits(*reference->built->assembly.root, rays_, tracing);
+        for (Trial& trial : trials) {
+            const bool self = &trial == &*reference;
+            const std::vector<Hit> hits =
+                self ? expected
+                     : trace_hits(*trial.built->assembly.root, checked_rays(trial), tracing);
+            trial.row.rays_checked = hits.size();
+            trial.row.hits = uint64_t(
+                std::count_if(hits.begin(), hits.end(), [](const Hit& h) { return h.is_hit(); }));
+            trial.row.hits_checksum = checksum(hits);
+            trial.row.checked_against = spec_.run.check ? reference->built->spec->name : "";
+            if (spec_.run.check && !self) compare(trial, hits, expected, *reference, workload);
+        }
+    }
+
+    void compare(Trial& trial, const std::vector<Hit>& hits, const std::vector<Hit>& expected,
+                 const Trial& reference, const WorkloadSpec& workload) {
+        std::string first;
+        for (size_t i = 0; i < hits.size(); ++i) {
+            const size_t ray = trial.check_all || trial.timed.empty() ? i : trial.timed[i];
+            if (same_hit(hits[i], expected[ray])) continue;
+            if (trial.row.mismatches++ == 0)
+                first = fmt::format("ray {}: {}, but {} in {}", ray, hit_text(hits[i]),
+                                    hit_text(expected[ray]), reference.built->spec->name);
+        }
+        if (trial.row.mismatches)
+            output_.mismatches.push_back(fmt::format("{} on {}: {} of {} hits differ; {}",
+                                                     trial.built->spec->name, workload.name,
+                                                     trial.row.mismatches, hits.size(), first));
+    }
+
+    void time(std::vector<Trial>& trials, const WorkloadSpec& workload) {
+        const PinnedThread pinned(spec_.run.pin && spec_.run.threads == 1);
+        for (int64_t pass = 0; pass < spec_.run.repeats; ++pass) {
+            progress_.step(fmt::format("timing {}: {} passes", workload.name, spec_.run.repeats),
+                           pass > 0);
+            for (Trial& trial : trials) {
+                const auto rays = timed_rays(trial);
+                double s = 0;
+                for (int i = 0; i < trial.inner; ++i)
+                    s += timed_pass(*trial.built->assembly.root, rays, timed_tracing());
+                trial.pass_ns.push_back(s * 1e9 / (double(rays.size()) * trial.inner));
+                trial.row.core = pinned.core();
+            }
+        }
+        progress_.step("counting: " + workload.name, true);
+    }
+
+    void finish(Trial& trial, size_t index) {
+        const WorkloadSpec& workload = spec_.workloads[index];
+        const Primitive& root = *trial.built->assembly.root;
+        Row& row = trial.row;
+        row.counters = counted_pass(root, checked_rays(trial), any_);
+        row.ns_per_ray_raw = trial.pass_ns;
+        row.ns_per_ray = median_interval(trial.pass_ns);
+        row.rays = rays_.size();
+        row.rays_timed = timed_rays(trial).size();
+        row.workload = workload.name;
+        row.query = workload.any ? "any" : "closest";
+        row.seed = workload.seed;
+        describe_variant(*trial.built, row);
+        row.key = key_of(*trial.built, index);
+        results_.add(row);
+        dump_hits(trial, workload);
+        output_.rows.push_back(std::move(row));
+    }
+
+    void describe_variant(const Built& built, Row& row) const {
+        row.scene = scene_.name;
+        row.variant = built.spec->name;
+        row.accelerator = built.text;
+        row.triangles = statistics_.triangles_unique;
+        row.triangles_instanced = statistics_.triangles_instanced;
+        row.shapes = statistics_.shapes_unique;
+        row.instances = statistics_.mesh_instances;
+        row.build_s = built.assembly.build_s;
+        row.structure = built.structure;
+        row.expected_ns = built.assembly.root->expected_cost();
+        row.repeats = spec_.run.repeats;
+        row.threads = spec_.run.threads;
+        row.isa = active_isa();
+        row.host = host_name();
+        row.sweep = built.spec->sweep;
+    }
+
+    std::string key_of(const Built& built, size_t workload) const {
+        Fnv1a hash;
+        for (const std::string& text :
+             {spec_.scene_canonical, built.spec->canonical, spec_.workload_canonical[workload],
+              spec_.run_canonical, revision_text(),
+              std::to_string(built.spec->max_rays.value_or(0))})
+            hash.add(text);
+        for (const auto& [file, value] : inputs_) hash.add(value);
+        return hash.hex();
+    }
+
+    void dump_hits(const Trial& trial, const WorkloadSpec& workload) {
+        if (hits_path_.empty()) return;
+        const auto paths =
+            hits_paths(hits_path_, trial.built->spec->name, workload.name, output_.rows.empty(),
+                       spec_.variants.size() * spec_.workloads.size() > 1);
+        const std::vector<Hit> hits = trace_hits(*trial.built->assembly.root, rays_, {false, 0});
+        for (const std::string& path : paths) write_hits(path, hits);
+    }
+
+    /// A picture by normals, and one of the costs of every variant, all on the same scale.
+    void draw() {
+        const int width = int(spec_.run.picture_width), height = int(spec_.run.picture_height);
+        const Camera camera = choose_camera(spec_.scene.camera, scene_, sphere_);
+        progress_.step("drawing normals");
+        save("normal-" + file_name_of(scene_.name),
+             normal_image(scene_, reference(), camera, width, height));
+        std::vector<CostMap> maps;
+        double highest = 0;
+        for (const Built& built : built_) {
+            progress_.step("drawing the cost of " + built.spec->name);
+            maps.push_back(cost_map(*built.assembly.root, camera, width, height, picture_s));
+            highest = std::max(highest, maps.back().highest);
+        }
+        for (size_t i = 0; i < maps.size(); ++i)
+            save("cost-" + file_name_of(scene_.name + "-" + built_[i].spec->name),
+                 heat_image(maps[i], highest));
+    }
+
+    /// Several experiments of one run may share the names of scene and variant.
+    void save(const std::string& stem, const Image& image) {
+        std::string file = stem + ".png";
+        const auto taken = [&] {
+            return std::find(output_.pictures.begin(), output_.pictures.end(), file) !=
+                   output_.pictures.end();
+        };
+        for (int i = 2; taken(); ++i) file = fmt::format("{}-{}.png", stem, i);
+        write_png(results_.path(file), image);
+        output_.pictures.push_back(file);
+    }
+
+    const Experiment& spec_;
+    const std::string& hits_path_;
+    Results& results_;
+    Progress& progress_;
+    RunOutput& output_;
+    Scene scene_;
+    std::map<std::string, std::string> inputs_;
+    std::vector<MeshInstance> instances_;
+    SceneStatistics statistics_;
+    BoundingSphere sphere_;
+    std::vector<Built> built_;
+    std::optional<Assembly> reference_;
+    std::vector<Ray> rays_;
+    bool any_ = false;
+};
+
+}  // namespace
+
+void run_experiment(const Experiment& experiment, const std::string& hits_path, Results& results,
+                    Progress& progress, RunOutput& output) {
+    Run(experiment, hits_path, results, progress, output).all();
+}
+
+size_t step_count(const Experiment& experiment) {
+    const size_t variants = experiment.variants.size();
+    const size_t pictures = experiment.run.pictures ? 1 + variants : 0;
+    return 1 + variants + experiment.workloads.size() * (3 + size_t(experiment.run.repeats)) +
+           pictures;
+}
+
+std::vector<std::string> hits_paths(const std::string& path, const std::string& variant,
+                                    const std::string& workload, bool first, bool several) {
+    std::string filled = path;
+    for (const auto& [key, value] : {std::pair{"{variant}", variant}, {"{workload}", workload}}) {
+        const size_t at = filled.find(key);
+        if (at != std::string::npos)
+            filled.replace(at, std::string(key).size(), file_name_of(value));
+    }
+    if (filled != path) return {filled};
+    std::vector<std::string> paths;
+    if (first) paths.push_back(path);
+    if (several) {
+        const std::filesystem::path p = path;
+        const std::string name = p.stem().string() + "-" + file_name_of(variant) + "-" +
+                                 file_name_of(workload) + p.extension().string();
+        paths.push_back((p.parent_path() / name).string());
+    }
+    return paths;
+}
+
+}  // namespace crofton

@@ -1,0 +1,239 @@
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "framework/ray.h"
+#include "tests/catch.h"
+
+namespace fs = std::filesystem;
+
+namespace {
+
+struct Outcome {
+    int code;
+    std::string out;  ///< stdout and stderr
+};
+
+Outcome run_crofton(const std::string& arguments) {
+    const std::string command = std::string(CROFTON_BINARY) + " " + arguments + " 2>&1";
+    FILE* pipe = popen(command.c_str(), "r");
+    REQUIRE(pipe);
+    std::string out;
+    std::array<char, 4096> buffer;
+    for (size_t n; (n = fread(buffer.data(), 1, buffer.size(), pipe)) > 0;)
+        out.append(buffer.data(), n);
+    const int status = pclose(pipe);
+    return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, out};
+}
+
+/// A folder that is removed at the end.
+class Folder {
+  public:
+    Folder() : path_(fs::temp_directory_path() / ("crofton_cli_" + std::to_string(getpid()))) {
+        fs::create_directories(path_);
+    }
+    ~Folder() { fs::remove_all(path_); }
+    std::string file(const std::string& name, const std::string& text) const {
+        std::ofstream(path_ / name) << text;
+        return (path_ / name).string();
+    }
+    std::string path(const std::string& name) const { return (path_ / name).string(); }
+
+  private:
+    fs::path path_;
+};
+
+std::string read_text(const std::string& path) {
+    std::ifstream file(path, std::ios::binary);
+    return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
+}
+
+const char* const small =
+    "[scene]\nprocedural = \"stadium\"\n"
+    "[accelerator.grid]\ntype = \"uniform_grid\"\n"
+    "[[variant]]\nname = \"a\"\n[[variant]]\nname = \"b\"\ntop = \"bvh\"\ndefault = \"grid\"\n"
+    "[[workload]]\ntype = \"random\"\nrays = 2000\n"
+    "[[workload]]\ntype = \"ambient_occlusion\"\nrays = 2000\n"
+    "[run]\nrepeats = 2\npicture_width = 64\npicture_height = 64\n";
+
+}  // namespace
+
+TEST_CASE("cli: help is there for every command and exits with 0") {
+    for (const char* arguments :
+         {"--help", "run --help", "inspect --help", "render --help", "list --help"}) {
+        const Outcome outcome = run_crofton(arguments);
+        INFO(arguments);
+        CHECK(outcome.code == 0);
+        CHECK(outcome.out.size() > 50);
+    }
+    CHECK(run_crofton("--version").code == 0);
+}
+
+TEST_CASE("cli: bad input is one line on stderr and exits with 2") {
+    Folder folder;
+    const std::string bad = folder.file("bad.toml", "[scene]\nprocedural = \"stadum\"\n");
+    const std::string no_file = folder.path("none.obj");
+    for (const std::string& arguments :
+         {std::string(""), std::string("rum"), std::string("run"), "run " + bad, "run " + no_file,
+          "inspect " + no_file, std::string("inspect procedural:stadum"), "render " + no_file,
+          std::string("render procedural:stadium --shade x"), std::string("list --jsn")}) {
+        const Outcome outcome = run_crofton(arguments);
+        INFO(arguments << " -> " << outcome.out);
+        CHECK(outcome.code == 2);
+        CHECK(outcome.out.find("crofton: error: ") == 0);
+        CHECK(std::count(outcome.out.begin(), outcome.out.end(), '\n') == 1);
+    }
+    CHECK(run_crofton("run " + bad).out.find("bad.toml:2:14: ") != std::string::npos);
+}
+
+TEST_CASE("cli: list as JSON names accelerators with parameters, workloads and scenes") {
+    const Outcome outcome = run_crofton("list --json");
+    CHECK(outcome.code == 0);
+    const auto json = nlohmann::json::parse(outcome.out);
+    std::vector<std::string> names;
+    for (const auto& accelerator : json.at("accelerators")) {
+        names.push_back(accelerator.at("name"));
+        CHECK(!accelerator.at("source").get<std::string>().empty());
+        for (const auto& parameter : accelerator.at("parameters")) {
+            CHECK(parameter.contains("default"));
+            CHECK(!parameter.at("description").get<std::string>().empty());
+        }
+    }
+    for (const char* name : {"brute_force", "uniform_grid", "bvh"})
+        CHECK(std::count(names.begin(), names.end(), name) == 1);
+    CHECK(json.at("workloads").size() == 6);
+    CHECK(json.at("scenes").size() >= 1);
+    CHECK(run_crofton("list").code == 0);
+}
+
+TEST_CASE("cli: inspect as JSON has the keys of the manifests") {
+    Folder folder;
+    const std::string obj = folder.file("t.obj", "v 0 0 0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n");
+    const auto json = nlohmann::json::parse(run_crofton("inspect --json " + obj).out);
+    CHECK(json.at("triangles_unique") == 1);
+    CHECK(json.at("triangles_instanced") == 1);
+    CHECK(json.at("mesh_instances") == 1);
+    CHECK(json.at("depth") == 1);
+    CHECK(json.at("bounds_min") == nlohmann::json({0.0, 0.0, 0.0}));
+    CHECK(json.at("bounds_max") == nlohmann::json({1.0, 2.0, 0.0}));
+    CHECK(json.at("zero_area_triangles_object_space") == 0);
+    CHECK(json.at("mirrored_instances") == 0);
+    CHECK(run_crofton("inspect procedural:stadium --accelerator bvh").code == 0);
+}
+
+TEST_CASE("cli: a run leaves rows, manifest, resolved config and pictures") {
+    Folder folder;
+    const std::string out = folder.path("out"), hits = folder.path("hits.bin");
+    const Outcome outcome = run_crofton("run " + folder.file("small.toml", small) + " --out " +
+                                        out + " --hits " + hits + " --set run.repeats=3");
+    INFO(outcome.out);
+    REQUIRE(outcome.code == 0);
+    std::ifstream rows(out + "/rows.jsonl");
+    std::vector<nlohmann::json> parsed;
+    for (std::string line; std::getline(rows, line);) parsed.push_back(nlohmann::json::parse(line));
+    REQUIRE(parsed.size() == 4);
+    for (const auto& row : parsed) {
+        for (const char* key : {"scene",
+                                "variant",
+                                "accelerator",
+                                "workload",
+                                "query",
+                                "rays",
+                                "hits",
+                                "triangles",
+                                "instances",
+                                "build_s",
+                                "bytes",
+                                "ns_per_ray",
+                                "ns_per_ray_low",
+                                "ns_per_ray_high",
+                                "repeats",
+                                "threads",
+                                "isa",
+                                "N_IN",
+                                "N_V",
+                                "N_EV",
+                                "N_OIV",
+                                "N_IT",
+                                "N_TS",
+                                "N_ETS",
+                                "N_EETS",
+                                "key",
+                                "host",
+                                "sweep",
+                                "hits_checksum"})
+            CHECK(row.contains(key));
+        CHECK(row.at("rays") == 2000);
+        CHECK(row.at("repeats") == 3);
+        CHECK(row.at("mismatches") == 0);
+    }
+    CHECK(parsed[0].at("hits_checksum") == parsed[1].at("hits_checksum"));
+    CHECK(parsed[2].at("query") == "any");
+    const auto manifest = nlohmann::json::parse(read_text(out + "/manifest.json"));
+    for (const char* key : {"revision", "dirty", "compiler", "flags", "cpu", "isa", "cores",
+                            "load_average", "packages", "seeds", "inputs", "crofton", "date"})
+        CHECK(manifest.contains(key));
+    for (const char* name : {"normal-stadium.png", "cost-stadium-a.png", "cost-stadium-b.png"})
+        CHECK(read_text(out + "/" + name).substr(1, 3) == "PNG");
+    CHECK(run_crofton("run " + out + "/resolved.toml --set run.pictures=false --out " +
+                      folder.path("again"))
+              .code == 0);
+}
+
+TEST_CASE("cli: a file of hits has 24 bytes a ray, and misses are marked") {
+    Folder folder;
+    const std::string obj = folder.file("t.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    crofton::Ray rays[2];
+    rays[0].origin = {0.25f, 0.25f, 1};
+    rays[0].direction = {0, 0, -1};
+    rays[1].origin = {0.25f, 0.25f, 1};
+    std::ofstream(folder.path("rays.bin"), std::ios::binary)
+        .write(reinterpret_cast<const char*>(rays), sizeof rays);
+    const std::string config = folder.file(
+        "c.toml",
+        "[scene]\nfile = \"t.obj\"\n[[workload]]\ntype = \"file\"\nfile = \"rays.bin\"\n"
+        "[run]\nrepeats = 1\npictures = false\n");
+    const std::string hits = folder.path("hits.bin");
+    const Outcome outcome =
+        run_crofton("run " + config + " --out " + folder.path("out") + " --hits " + hits);
+    INFO(outcome.out);
+    REQUIRE(outcome.code == 0);
+    const std::string bytes = read_text(hits);
+    REQUIRE(bytes.size() == 48);
+    crofton::Hit read[2];
+    std::memcpy(static_cast<void*>(read), bytes.data(), sizeof read);
+    CHECK(read[0].t == 1);
+    CHECK(read[0].u == Approx(0.25f));
+    CHECK(read[0].v == Approx(0.25f));
+    CHECK(read[0].primitive == 0);
+    CHECK(read[0].instance == 0);
+    CHECK(read[1].primitive == crofton::no_id);
+    CHECK(read[1].geometry == crofton::no_id);
+    CHECK(read[1].instance == crofton::no_id);
+    std::ofstream(folder.path("rays.bin"), std::ios::binary | std::ios::app) << "x";
+    CHECK(run_crofton("run " + config + " --out " + folder.path("out")).code == 2);
+}
+
+TEST_CASE("cli: render writes pictures by normal and by cost") {
+    Folder folder;
+    for (const std::string shade : {"normal", "cost"}) {
+        const std::string png = folder.path(shade + ".png");
+        const Outcome outcome = run_crofton(
+            "render procedural:stadium -o " + png + " --width 64 --height 48 --shade " + shade +
+            " --set scene.parameters.rows=5 --set max_leaf_size=2 --eye=-3,1,2 --at 0,0,0");
+        INFO(outcome.out);
+        CHECK(outcome.code == 0);
+        CHECK(read_text(png).substr(1, 3) == "PNG");
+    }
+    CHECK(
+        run_crofton("render procedural:stadium --set no_such=1 -o " + folder.path("x.png")).code ==
+        2);
+}
