@@ -11,7 +11,7 @@ namespace crofton {
 namespace {
 
 constexpr int max_bins = 64;
-constexpr int median_depth = 40;      // from here on, halves by count
+constexpr int median_depth = 40;        // from here on, halves by count
 constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
 
 struct Bin {
@@ -66,7 +66,9 @@ class BinnedBuilder {
   public:
     BinnedBuilder(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
                   int max_leaf_size)
-        : refs_(std::move(references)), costs_(costs), bins_(std::min(bins, max_bins)),
+        : refs_(std::move(references)),
+          costs_(costs),
+          bins_(std::min(bins, max_bins)),
           max_leaf_size_(uint32_t(max_leaf_size)) {}
 
     BinaryTree build() {
@@ -128,8 +130,8 @@ class BinnedBuilder {
     size_t partition(size_t begin, size_t end, const Bounds3& bounds, const Bounds3& centroids,
                      double cost_sum, int depth) {
         const uint32_t n = uint32_t(end - begin);
-        const double leaf_cost =
-            n <= max_leaf_size_ ? costs_.leaf(cost_sum, n) : std::numeric_limits<double>::infinity();
+        const double leaf_cost = n <= max_leaf_size_ ? costs_.leaf(cost_sum, n)
+                                                     : std::numeric_limits<double>::infinity();
         Split split;
         const Binning binning(centroids, std::min<int>(bins_, std::max<int>(4, int(n))));
         if (depth < median_depth) split = best_split(begin, end, bounds, binning);
@@ -141,7 +143,8 @@ class BinnedBuilder {
         return size_t(middle - refs_.begin());
     }
 
-    Split best_split(size_t begin, size_t end, const Bounds3& bounds, const Binning& binning) const {
+    Split best_split(size_t begin, size_t end, const Bounds3& bounds,
+                     const Binning& binning) const {
         BinTable table;
         for (int a = 0; a < 3; ++a) std::fill_n(table[a].begin(), binning.bins, Bin());
         for (size_t i = begin; i < end; ++i)

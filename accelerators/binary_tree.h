@@ -30,8 +30,8 @@ struct BinaryTree {
 
 /// What leaves and nodes cost, in nominal nanoseconds.
 struct TreeCosts {
-    double node = 3.0;        ///< testing both children
-    int leaf_width = 1;       ///< shapes tested at once; 1: a leaf costs the sum of its shapes' costs
+    double node = 3.0;   ///< testing both children
+    int leaf_width = 1;  ///< shapes tested at once; 1: a leaf costs the sum of its shapes' costs
     double leaf_block = 0.0;  ///< of leaf_width shapes at once
     double leaf(double sum, uint32_t count) const {
         return leaf_width > 1 ? leaf_block * ((count + leaf_width - 1) / leaf_width) : sum;
@@ -51,7 +51,8 @@ std::vector<BuildReference> build_references(const Set& set) {
 /// Area heuristic (MacDonald & Booth 1990) evaluated at bins of centroids (Wald 2007: "On fast
 /// construction of SAH-based bounding volume hierarchies"), top down, in parallel, O(N log N).
 /// Deterministic for any number of threads. Where no split is possible (equal centroids) or the
-/// tree gets deeper than 40 levels, references are halved by count, so that no tree is deeper than 72.
+/// tree gets deeper than 40 levels, references are halved by count, so that no tree is deeper
+/// than 72.
 BinaryTree build_binned(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
                         int max_leaf_size);
 

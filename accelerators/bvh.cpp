@@ -10,8 +10,8 @@ HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
 
-/// Tests both children of a node at once: lanes 0 and 1 hold where the ray enters each child, lanes 2
-/// and 3 minus where it leaves, so that one maximum serves both.
+/// Tests both children of a node at once: lanes 0 and 1 hold where the ray enters each child, lanes
+/// 2 and 3 minus where it leaves, so that one maximum serves both.
 class ChildPairTest {
   public:
     using D = hn::FixedTag<float, 4>;
@@ -77,8 +77,8 @@ struct BvhTraversal {
                 alignas(16) float t_near[4];
                 const uint32_t hits = pair.test(node, t_near);
                 if (hits == 0) goto pop;
-                // Branches rather than arithmetic: a predicted branch lets the next node load before
-                // this one's test is through.
+                // Branches rather than arithmetic: a predicted branch lets the next node load
+                // before this one's test is through.
                 if (hits == 1) {
                     current = {node.index[0], node.count[0], t_near[0]};
                 } else if (hits == 2) {

@@ -18,13 +18,13 @@ struct GridSpace {
     Bounds3 box;
     Vec3i resolution = Vec3i::Ones();
     double lower[3] = {0, 0, 0};
-    double cell[3] = {1, 1, 1};          ///< > 0
+    double cell[3] = {1, 1, 1};  ///< > 0
     double inverse_cell[3] = {1, 1, 1};
-    /// Shapes stand in every cell that they meet when widened by this much, so that a walk along the
-    /// exact ray finds all that a rounded leaf test can accept: see `walk_is_exact`.
+    /// Shapes stand in every cell that they meet when widened by this much, so that a walk along
+    /// the exact ray finds all that a rounded leaf test can accept: see `walk_is_exact`.
     double margin[3] = {0, 0, 0};
-    /// Largest absolute coordinate of the whole shapes that stand in the cells, parts outside the box
-    /// included: what the error of a leaf test grows with.
+    /// Largest absolute coordinate of the whole shapes that stand in the cells, parts outside the
+    /// box included: what the error of a leaf test grows with.
     double magnitude = 0;
 
     GridSpace() = default;
@@ -70,8 +70,44 @@ struct GridSpace {
     }
 };
 
-/// Calls visit(x, y, z) for every cell that the part of a shape inside `whole`, widened by the margin,
-/// meets. Clips the shape to slabs and rows, so that a slanted shape does not fill its box.
+/// A grid a margin larger than its content, so that the exact ray is inside wherever a shape in it may
+/// be hit. Margins hold the reach of rays that begin within a few sizes of the whole scene, unless that
+/// would make them a large part of a fine cell, but always that of rays that begin near the shapes.
+/// @param shapes  magnitude of the shapes in the grid, parts outside the content included
+/// @param scene   magnitude of all shapes of the structure
+inline GridSpace widened_space(const Bounds3& content, const Vec3i& n, double shapes,
+                               double scene) {
+    constexpr float largest = std::numeric_limits<float>::max();
+    Bounds3 box = content;
+    double margin[3];
+    for (int a = 0; a < 3; ++a) {
+        const double cell = (double(content.upper[a]) - content.lower[a]) / n[a];
+        const double wanted = 0x1p-18 * scene;
+        margin[a] =
+            std::max({0x1p-12 * cell, 0x1p-19 * shapes, n[a] == 1 ? wanted : std::min(wanted, cell / 4),
+                      double(std::numeric_limits<float>::min())});
+        box.lower[a] = std::nextafter(float(box.lower[a] - margin[a]), -largest);
+        box.upper[a] = std::nextafter(float(box.upper[a] + margin[a]), largest);
+    }
+    GridSpace space(box, n);
+    space.magnitude = shapes;
+    std::copy(margin, margin + 3, space.margin);
+    return space;
+}
+
+/// How many cells a shape in `box` may stand in. @param flat  it fills a layer of its box at most
+inline double cells_spanned(const Bounds3& box, const Vec3d& cell, bool flat) {
+    double all = 1, least = std::numeric_limits<double>::infinity();
+    for (int a = 0; a < 3; ++a) {
+        const double n = 1 + (double(box.upper[a]) - box.lower[a]) / cell[a];
+        all *= n;
+        least = std::min(least, n);
+    }
+    return flat ? all / least * std::min(least, 1.5) : all;
+}
+
+/// Calls visit(x, y, z) for every cell that the part of a shape inside `whole`, widened by the
+/// margin, meets. Clips the shape to slabs and rows, so that a slanted shape does not fill its box.
 template <class Set, class Visit>
 void for_each_cell(const GridSpace& grid, const Set& set, uint32_t shape, const Bounds3& whole,
                    Visit&& visit) {
@@ -84,9 +120,9 @@ void for_each_cell(const GridSpace& grid, const Set& set, uint32_t shape, const 
         part.lower[axis] = std::max(part.lower[axis],
                                     std::nextafter(float(grid.plane(axis, i) - grid.margin[axis]),
                                                    -std::numeric_limits<float>::infinity()));
-        part.upper[axis] = std::min(part.upper[axis],
-                                    std::nextafter(float(grid.plane(axis, i + 1) + grid.margin[axis]),
-                                                   std::numeric_limits<float>::infinity()));
+        part.upper[axis] = std::min(
+            part.upper[axis], std::nextafter(float(grid.plane(axis, i + 1) + grid.margin[axis]),
+                                             std::numeric_limits<float>::infinity()));
         return part;
     };
     int z0, z1;
@@ -137,8 +173,8 @@ bool walk_cells(const GridSpace& grid, const LocalRay& ray, double t_enter, Visi
     }
     size_t cell = grid.at(i[0], i[1], i[2]);
     while (true) {
-        const int a = next[0] <= next[1] ? (next[0] <= next[2] ? 0 : 2)
-                                         : (next[1] <= next[2] ? 1 : 2);
+        const int a =
+            next[0] <= next[1] ? (next[0] <= next[2] ? 0 : 2) : (next[1] <= next[2] ? 1 : 2);
         if (visit(cell)) return true;
         i[a] += step[a];
         if (i[a] == end[a] || next[a] == infinity || past(next[a])) return false;
@@ -147,8 +183,8 @@ bool walk_cells(const GridSpace& grid, const LocalRay& ray, double t_enter, Visi
     }
 }
 
-/// The same for a ray that is thicker than the margin of the cells (a far origin, an instance with an
-/// ill-conditioned map): slice by slice along the axis that the ray crosses fastest, all cells
+/// The same for a ray that is thicker than the margin of the cells (a far origin, an instance with
+/// an ill-conditioned map): slice by slice along the axis that the ray crosses fastest, all cells
 /// that the thick ray touches. Cells come in order of slices.
 template <class Visit, class Past>
 bool walk_cells_thick(const GridSpace& grid, const LocalRay& ray, double t_enter, double t_leave,
@@ -167,7 +203,8 @@ bool walk_cells_thick(const GridSpace& grid, const LocalRay& ray, double t_enter
     for (int s = first;; s += step) {
         // The part of the ray inside this slice, longer by its thickness at both ends.
         const double extra = thick * std::abs(inverse);
-        const double a0 = (grid.plane(k, s) - o) * inverse, a1 = (grid.plane(k, s + 1) - o) * inverse;
+        const double a0 = (grid.plane(k, s) - o) * inverse,
+                     a1 = (grid.plane(k, s + 1) - o) * inverse;
         const double t0 = std::max(std::min(a0, a1) - extra, t_enter);
         const double t1 = std::min(std::max(a0, a1) + extra, t_leave);
         int low[3], high[3];

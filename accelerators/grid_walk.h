@@ -74,14 +74,19 @@ HWY_INLINE bool walk_grid(const GridSpace& grid, const ExactRay& ray, double t_e
                       : (grid.lower[a] + index[a] * grid.cell[a] - ray.origin[a]) * ray.inverse[a];
         if (!up) stride[a] = -stride[a];
     }
-    while (true) {
-        if (visit(cell)) return true;
-        const int a = next[0] <= next[1] ? (next[0] <= next[2] ? 0 : 2)
-                                         : (next[1] <= next[2] ? 1 : 2);
+    // Called with constants, so that all of it stays in registers.
+    const auto advance = [&](int a) HWY_ATTR {
         if (index[a] == end[a] || past(next[a])) return false;
         cell = size_t(ptrdiff_t(cell) + stride[a]);
         index[a] += step[a];
         next[a] = (grid.lower[a] + index[a] * grid.cell[a] - ray.origin[a]) * ray.inverse[a];
+        return true;
+    };
+    while (true) {
+        if (visit(cell)) return true;
+        const bool on = next[0] <= next[1] ? (next[0] <= next[2] ? advance(0) : advance(2))
+                                           : (next[1] <= next[2] ? advance(1) : advance(2));
+        if (!on) return false;
     }
 }
 

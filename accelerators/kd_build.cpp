@@ -75,8 +75,8 @@ void try_binned_planes(std::span<const BuildReference> references, const SplitCo
 namespace {
 
 constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
-constexpr size_t exact_size = 32;       // below this, the binned builder tries every plane
-constexpr size_t collapse_size = 64;    // a larger subtree is always better than a leaf
+constexpr size_t exact_size = 128;      // below this, the binned builder tries every plane
+constexpr size_t collapse_size = 64;    // at most so many are kept to turn into a leaf again
 constexpr int patience = 3;             // splits in a row that do not pay
 
 /// One end of a reference's bounds on one axis.
@@ -221,7 +221,8 @@ class Builder {
         const SplitCost cost(cell, options_.costs, options_.empty_bonus);
         const SplitPlane plane = find_plane(work, cell, cost, sum);
         if (plane.axis < 0) return make_leaf(work.references, leaf_cost, out);
-        if (plane.cost >= leaf_cost) ++bad;
+        const bool pays = plane.cost < leaf_cost;
+        if (!pays) ++bad;
         if (bad >= patience || (plane.cost > 4 * leaf_cost && n < 16))
             return make_leaf(work.references, leaf_cost, out);
 
@@ -232,7 +233,7 @@ class Builder {
         if (sides[0].size() + sides[1].size() > budget)
             return make_leaf(work.references, leaf_cost, out);
         std::vector<BuildReference> kept;
-        if (n <= collapse_size) kept = std::move(work.references);
+        if (n <= collapse_size || !pays) kept = std::move(work.references);
         work = {};
 
         const size_t node_count = out.nodes.size(), reference_count = out.references.size();

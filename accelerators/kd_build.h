@@ -73,8 +73,9 @@ using ClipShape = std::function<Bounds3(uint32_t shape, const Bounds3& box)>;
 /// a plane goes to the side where it is cheaper: traversal visits both sides of a plane that it
 /// meets within the ray's thickness, so that no hit depends on this choice.
 ///
-/// A subtree that costs no less than a leaf becomes one, which ends every branch early; besides,
-/// there are at most 16·N + 1024 references, each subtree having its share, and 64 levels.
+/// A subtree that costs no less than a leaf becomes one (checked where it is small, or its first
+/// split did not pay); besides, there are at most 16·N + 1024 references, each subtree having its
+/// share, and 64 levels.
 KdTreeData build_kd_tree(std::vector<BuildReference> references, const ClipShape& clip,
                          const KdOptions& options);
 

@@ -13,7 +13,8 @@ namespace crofton {
 
 /// How the leaves of a tree over `Set` are stored.
 template <class Set>
-using Leaves = std::conditional_t<std::is_same_v<Set, TriangleSet>, TriangleLeaves, ReferenceLeaves>;
+using Leaves =
+    std::conditional_t<std::is_same_v<Set, TriangleSet>, TriangleLeaves, ReferenceLeaves>;
 
 template <class Set>
 TreeCosts tree_costs(double node) {
@@ -26,11 +27,13 @@ TreeCosts tree_costs(double node) {
     return costs;
 }
 
-/// The same where leaves are lists of references: triangles are gathered by fours before their test.
+/// The same where leaves are lists of references: triangles are gathered by fours before their
+/// test.
 template <class Set>
 TreeCosts reference_costs(double node) {
     TreeCosts costs = tree_costs<Set>(node);
-    if constexpr (std::is_same_v<Set, TriangleSet>) costs.leaf_block += cost_constants.triangle_gather;
+    if constexpr (std::is_same_v<Set, TriangleSet>)
+        costs.leaf_block += cost_constants.triangle_gather;
     return costs;
 }
 

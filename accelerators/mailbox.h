@@ -5,13 +5,15 @@
 
 namespace crofton {
 
-/// Remembers which shapes one ray has tested, so that a shape that stands in several cells is tested
-/// once (Amanatides & Woo 1987). Lives on the stack of the ray: a small direct-mapped table (Shevtsov
-/// 2007 calls it inverse mailboxing); what falls out of it is tested again, which changes nothing.
+/// Remembers which shapes one ray has tested, so that a shape that stands in several cells is
+/// tested once (Amanatides & Woo 1987). Lives on the stack of the ray: a small direct-mapped table
+/// (Shevtsov 2007 calls it inverse mailboxing); what falls out of it is tested again, which changes
+/// nothing.
 class Mailbox {
   public:
     Mailbox() { std::memset(seen_, 0xff, sizeof seen_); }
-    /// Copies the references not seen before to `fresh` (room for `count`) and returns their number.
+    /// Copies the references not seen before to `fresh` (room for `count`) and returns their
+    /// number.
     uint32_t filter(const uint32_t* references, uint32_t count, uint32_t* fresh) {
         uint32_t n = 0;
         for (uint32_t i = 0; i < count; ++i) {

@@ -211,18 +211,6 @@ class NestedGridBuilder {
         return region.contains(whole) ? whole : set_.clipped_bounds(item, region);
     }
 
-    /// How many cells an item may stand in: a flat shape fills a layer of its box at most.
-    static double cells_of(const Bounds3& box, const Vec3d& cell) {
-        double n[3], most = 1, least = std::numeric_limits<double>::infinity();
-        for (int a = 0; a < 3; ++a) {
-            n[a] = 1 + (double(box.upper[a]) - box.lower[a]) / cell[a];
-            most *= n[a];
-            least = std::min(least, n[a]);
-        }
-        const bool flat = std::is_same_v<Set, TriangleSet> || std::is_same_v<Set, PolygonSet>;
-        return flat ? most / least * std::min(least, 1.5) : most;
-    }
-
     /// The rule's resolution, lowered until large shapes cannot fill the memory.
     Vec3i resolution_for(const std::vector<Part>& parts, const Bounds3& box, double density) const {
         UniformGridParameters rule;
@@ -233,36 +221,15 @@ class NestedGridBuilder {
         const Vec3d extent = (box.upper.cast<double>() - box.lower.cast<double>())
                                  .cwiseMax(std::numeric_limits<float>::min());
         const size_t stride = std::max<size_t>(1, parts.size() / 1024);
+        constexpr bool flat = std::is_same_v<Set, TriangleSet> || std::is_same_v<Set, PolygonSet>;
         while (n.maxCoeff() > 1) {
             const Vec3d cell = extent.cwiseQuotient(n.cast<double>());
             double sum = 0;
-            for (size_t i = 0; i < parts.size(); i += stride) sum += cells_of(parts[i].box, cell);
+            for (size_t i = 0; i < parts.size(); i += stride) sum += cells_spanned(parts[i].box, cell, flat);
             if (sum * double(stride) <= most && n.cast<double>().prod() <= most) break;
             n = (n.cast<double>() * 0.8).cast<int>().cwiseMax(1);
         }
         return n;
-    }
-
-    /// A grid a margin larger than its content. Margins hold the reach of rays that begin within a few
-    /// sizes of the whole scene, unless that would make them a large part of a fine cell, but always that
-    /// of rays that begin near the shapes themselves.
-    GridSpace space_for(const Bounds3& content, const Vec3i& n, double magnitude) const {
-        constexpr float largest = std::numeric_limits<float>::max();
-        Bounds3 box = content;
-        double margin[3];
-        for (int a = 0; a < 3; ++a) {
-            const double cell = (double(content.upper[a]) - content.lower[a]) / n[a];
-            const double wanted = 0x1p-18 * double(out_.box.magnitude());
-            margin[a] = std::max({0x1p-12 * cell, 0x1p-19 * magnitude,
-                                  n[a] == 1 ? wanted : std::min(wanted, cell / 4),
-                                  double(std::numeric_limits<float>::min())});
-            box.lower[a] = std::nextafter(float(box.lower[a] - margin[a]), -largest);
-            box.upper[a] = std::nextafter(float(box.upper[a] + margin[a]), largest);
-        }
-        GridSpace space(box, n);
-        space.magnitude = magnitude;
-        std::copy(margin, margin + 3, space.margin);
-        return space;
     }
 
     /// @param region  what to clip the items to; null: nothing
@@ -282,7 +249,8 @@ class NestedGridBuilder {
             draft.content.extend(part.box);
             magnitude = std::max(magnitude, item_magnitude(part.item));
         }
-        draft.space = space_for(draft.content, resolution_for(parts, draft.content, density), magnitude);
+        draft.space = widened_space(draft.content, resolution_for(parts, draft.content, density),
+                                    magnitude, out_.box.magnitude());
         sort_into_cells(parts, draft);
         draft.cost = flat_cost(draft);
         return draft;
@@ -403,8 +371,12 @@ class NestedGridBuilder {
             }
             grids.push_back(add(make(cluster.shapes, nullptr, p_.density)));
         }
+        // Where a root stands over them, it is refined like them: shapes without a cluster get grids of
+        // their own, which the source calls orphans' grids.
+        const uint32_t root = root_over(std::move(top), grids);
+        if (grids.empty() || root != grids[0]) grids.push_back(root);
         refine(grids, p_.max_depth);
-        return root_over(std::move(top), grids);
+        return root;
     }
 
     uint32_t build_hierarchy(const std::vector<BuildReference>& shapes) {

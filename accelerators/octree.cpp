@@ -24,10 +24,9 @@ class OctantIntervals {
 
     OctantIntervals() {
         const D d;
-        x_ = hn::MaskFromVec(
-            hn::BitCast(d, hn::Dup128VecFromValues(hn::RebindToSigned<D>(), 0, -1, 0, -1)));
-        y_ = hn::MaskFromVec(
-            hn::BitCast(d, hn::Dup128VecFromValues(hn::RebindToSigned<D>(), 0, 0, -1, -1)));
+        alignas(16) constexpr float bit_0[4] = {0, 1, 0, 1}, bit_1[4] = {0, 0, 1, 1};
+        x_ = hn::Gt(hn::Load(d, bit_0), hn::Zero(d));
+        y_ = hn::Gt(hn::Load(d, bit_1), hn::Zero(d));
     }
     /// @return bit k: child k has an interval
     HWY_INLINE uint32_t set(const ThickRay& ray, const OctreeNode& node, float t_enter,
@@ -147,7 +146,7 @@ namespace crofton {
 namespace {
 
 constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
-constexpr size_t collapse_size = 64;    // a larger subtree is always better than a leaf
+constexpr size_t collapse_size = 64;    // at most so many are kept to turn into a leaf again
 constexpr int patience = 3;             // splits in a row that do not pay
 
 using References = std::vector<BuildReference>;
@@ -198,14 +197,15 @@ class OctreeBuilder {
             !choose_planes(references, cell, children.plane))
             return make_leaf(references, out);
         distribute(references, cell, children);
-        if (children.cost(costs_) >= leaf_cost && ++bad >= patience)
-            return make_leaf(references, out);
+        const bool pays = children.cost(costs_) < leaf_cost;
+        if (!pays && ++bad >= patience) return make_leaf(references, out);
         if (children.total() > budget) return make_leaf(references, out);
-        if (n > collapse_size) References().swap(references);
+        const bool keep = n <= collapse_size || !pays;
+        if (!keep) References().swap(references);
 
         const size_t node_count = out.nodes.size(), reference_count = out.references.size();
         const OctreeNode node = build_children(children, depth, bad, budget, out, cost);
-        if (n > collapse_size || cost < leaf_cost) return node;
+        if (!keep || cost < leaf_cost) return node;
         out.nodes.resize(node_count);
         out.references.resize(reference_count);
         cost = leaf_cost;

@@ -63,8 +63,9 @@ static_assert(sizeof(OctreeNode) == 20);
 /// Tree of cells that three planes cut into eight, over references. A shape stands in every leaf
 /// that it meets. Built top down, in parallel, with the same result for any number of threads.
 ///
-/// A subtree that costs no less than a leaf becomes one; besides, there are at most 16·N + 1024
-/// references, each subtree having its share.
+/// A subtree that costs no less than a leaf becomes one (checked where it is small, or its first
+/// split did not pay); besides, there are at most 16·N + 1024 references, each subtree having its
+/// share.
 template <class Set>
 struct Octree {
     static constexpr const char* name = "octree";

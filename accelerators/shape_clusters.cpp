@@ -8,20 +8,18 @@
 namespace crofton {
 namespace {
 
-/// Whether each node's shapes form one cluster; children come after their parents in `order`.
+/// Whether each node's shapes form one cluster; children come after their parents in `order`. A node
+/// takes in all clusters below it, so that one stray pair does not keep its surroundings apart.
 std::vector<uint8_t> merged_nodes(const BinaryTree& tree, const std::vector<uint32_t>& order,
                                   double merge_ratio) {
     std::vector<uint8_t> merged(tree.nodes.size(), 0);
+    std::vector<double> clusters(tree.nodes.size(), 0);  // area of all clusters below
     for (size_t k = order.size(); k-- > 0;) {
         const BinaryTree::Node& node = tree.nodes[order[k]];
-        if (node.leaf()) {
-            merged[order[k]] = 1;
-            continue;
-        }
-        const double apart = half_area(tree.nodes[node.left].bounds) +
-                             half_area(tree.nodes[node.right].bounds);
-        merged[order[k]] = merged[node.left] && merged[node.right] &&
-                           half_area(node.bounds) <= merge_ratio * apart;
+        const double area = half_area(node.bounds);
+        const double apart = node.leaf() ? area : clusters[node.left] + clusters[node.right];
+        merged[order[k]] = node.leaf() || area <= merge_ratio * apart;
+        clusters[order[k]] = merged[order[k]] ? area : apart;
     }
     return merged;
 }

@@ -23,8 +23,8 @@ struct UniformGridTraversal {
     }
 
   private:
-    /// A hit counts only once the walk has passed it: a shape may be hit beyond the current cell, and
-    /// the walk goes on until the next cell begins behind the best hit.
+    /// A hit counts only once the walk has passed it: a shape may be hit beyond the current cell,
+    /// and the walk goes on until the next cell begins behind the best hit.
     template <Query Q, bool UseMailbox, class Set, class C>
     static bool run_cells(const UniformGrid<Set>& grid, const Set& set, const LocalRay& ray,
                           RayQuery& q, C& counters, float t_near, float t_far) {
@@ -77,9 +77,15 @@ Vec3i grid_resolution(const UniformGridParameters& p, const Bounds3& bounds, siz
         return longest > 0 ? Vec3d(e / longest * on_longest) : Vec3d(1, 1, 1);
     };
     switch (p.resolution) {
-        case ResolutionRule::lrt: r = Vec3d::Constant(std::cbrt(8 * n)); break;
-        case ResolutionRule::pbrt: r = proportional(3 * std::cbrt(n)).array() + 0.5; break;
-        case ResolutionRule::woo: r = proportional(std::cbrt(n)); break;
+        case ResolutionRule::lrt:
+            r = Vec3d::Constant(std::cbrt(8 * n));
+            break;
+        case ResolutionRule::pbrt:
+            r = proportional(3 * std::cbrt(n)).array() + 0.5;
+            break;
+        case ResolutionRule::woo:
+            r = proportional(std::cbrt(n));
+            break;
         case ResolutionRule::klimaszewski: {
             // A flat axis counts as one millionth of the longest, so that no quotient is infinite.
             const Vec3d f = e.cwiseMax(longest * 1e-6);
@@ -89,7 +95,9 @@ Vec3i grid_resolution(const UniformGridParameters& p, const Bounds3& bounds, siz
             r[2] = n / (r[0] * r[1]) + 0.5;
             break;
         }
-        case ResolutionRule::fixed: r = Vec3d(p.resolution_x, p.resolution_y, p.resolution_z); break;
+        case ResolutionRule::fixed:
+            r = Vec3d(p.resolution_x, p.resolution_y, p.resolution_z);
+            break;
     }
     for (int a = 0; a < 3; ++a)
         if (!(e[a] > 0)) r[a] = 1;

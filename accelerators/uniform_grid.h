@@ -36,7 +36,8 @@ struct UniformGridParameters {
 };
 
 /// Cells per axis by a rule. At least 1; at most 2^26 cells in all (the density is lowered).
-Vec3i grid_resolution(const UniformGridParameters& parameters, const Bounds3& bounds, size_t shapes);
+Vec3i grid_resolution(const UniformGridParameters& parameters, const Bounds3& bounds,
+                      size_t shapes);
 
 /// Regular grid of lists of references.
 template <class Set>

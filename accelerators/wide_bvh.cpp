@@ -34,8 +34,8 @@ class EightBoxTest {
             for (int a = 0; a < 3; ++a) {
                 const auto lo = hn::Load(d, node.planes[down_[a]][a] + i);
                 const auto hi = hn::Load(d, node.planes[down_[a] ^ 1][a] + i);
-                enter = hn::Max(enter, hn::Mul(hn::Sub(lo, hn::Set(d, near_origin_[a])),
-                                               hn::Set(d, rcp_[a])));
+                enter = hn::Max(
+                    enter, hn::Mul(hn::Sub(lo, hn::Set(d, near_origin_[a])), hn::Set(d, rcp_[a])));
                 leave = hn::Min(leave, hn::Mul(hn::Sub(hi, hn::Set(d, far_origin_[a])),
                                                hn::Set(d, far_rcp_[a])));
             }
@@ -44,8 +44,8 @@ class EightBoxTest {
         }
         return hits;
     }
-    /// One multiplication and addition a plane: the node's grid is moved to the ray first. The error
-    /// of that, some u of the node's extent, is what `quantise` leaves room for.
+    /// One multiplication and addition a plane: the node's grid is moved to the ray first. The
+    /// error of that, some u of the node's extent, is what `quantise` leaves room for.
     HWY_INLINE uint32_t test(const QuantisedNode& node, float t_min, float t_cull,
                              float* HWY_RESTRICT t_near) const {
         const D d;
@@ -93,8 +93,8 @@ struct WideBvhTraversal {
     }
 
   private:
-    /// A child on the stack: where it is entered in the upper half, so that entries sort as integers
-    /// (for t >= 0; below zero the order is merely not the best).
+    /// A child on the stack: where it is entered in the upper half, so that entries sort as
+    /// integers (for t >= 0; below zero the order is merely not the best).
     using Entry = uint64_t;
     static HWY_INLINE Entry entry(uint32_t child, float t) {
         uint32_t bits;
@@ -135,8 +135,8 @@ struct WideBvhTraversal {
                     current = node.child[first];
                     continue;
                 }
-                // Two children, the common case, never leave registers; of more, all go on the stack,
-                // far to near, and the nearest comes off again.
+                // Two children, the common case, never leave registers; of more, all go on the
+                // stack, far to near, and the nearest comes off again.
                 const uint32_t second = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
                 hits &= hits - 1;
                 Entry e0 = entry(node.child[first], t[first]);
@@ -192,7 +192,8 @@ CROFTON_ACCELERATOR_KERNELS(WideBvh, WideBvhTraversal, WideBvhParameters)
 namespace crofton {
 namespace {
 
-/// Eight children at most: opens the child with the largest box until there are eight, or all are leaves.
+/// Eight children at most: opens the child with the largest box until there are eight, or all are
+/// leaves.
 std::vector<uint32_t> open_children(const BinaryTree& tree, uint32_t root) {
     std::vector<uint32_t> children{root};
     while (children.size() < 8) {
@@ -227,7 +228,8 @@ void clear(WideNode& node) {
     }
 }
 
-/// Bytes that contain each child with a hundredth of a step to spare, for the rounding of traversal.
+/// Bytes that contain each child with a hundredth of a step to spare, for the rounding of
+/// traversal.
 void quantise(QuantisedNode& node, const std::vector<Bounds3>& children) {
     Bounds3 whole;
     for (const Bounds3& b : children) whole.extend(b);
@@ -241,8 +243,10 @@ void quantise(QuantisedNode& node, const std::vector<Bounds3>& children) {
         node.scale[a] = float(scale * (1 + 1e-6));
         node.origin[a] = float(double(whole.lower[a]) - node.scale[a]);
         for (size_t i = 0; i < children.size(); ++i) {
-            const double lo = (double(children[i].lower[a]) - node.origin[a]) / node.scale[a] - 0.01;
-            const double hi = (double(children[i].upper[a]) - node.origin[a]) / node.scale[a] + 0.01;
+            const double lo =
+                (double(children[i].lower[a]) - node.origin[a]) / node.scale[a] - 0.01;
+            const double hi =
+                (double(children[i].upper[a]) - node.origin[a]) / node.scale[a] + 0.01;
             node.planes[0][a][i] = uint8_t(std::clamp(std::floor(lo), 0.0, 255.0));
             node.planes[1][a][i] = uint8_t(std::clamp(std::ceil(hi), 0.0, 255.0));
         }

@@ -23,8 +23,8 @@ struct WideBvhParameters {
     }
 };
 
-/// A child: an inner node's index; or, with bit 31, a leaf: count - 1 in bits 26 … 30, where its shapes
-/// begin in bits 0 … 25.
+/// A child: an inner node's index; or, with bit 31, a leaf: count - 1 in bits 26 … 30, where its
+/// shapes begin in bits 0 … 25.
 struct WideChild {
     static constexpr uint32_t leaf_bit = 1u << 31, first_bits = 26;
     static constexpr uint32_t max_first = (1u << first_bits) - 1, max_count = 32;
@@ -48,7 +48,8 @@ struct alignas(32) WideNode {
 };
 static_assert(sizeof(WideNode) == 224);
 
-/// The same with bytes: plane = origin + scale·byte, rounded outwards (after Ylitie, Karras, Laine 2017).
+/// The same with bytes: plane = origin + scale·byte, rounded outwards (after Ylitie, Karras, Laine
+/// 2017).
 ///
 ///   byte   0  origin x, y, z     12  scale x, y, z (floats)
 ///         24  planes[0]: lower x, y, z of all children, 8 bytes each     48  planes[1]: upper
@@ -63,8 +64,8 @@ struct alignas(8) QuantisedNode {
 };
 static_assert(sizeof(QuantisedNode) == 112);
 
-/// Bounding volume hierarchy with eight children a node, all tested at once. Built by opening, child
-/// by child, the largest box of a binary tree (Wald, Benthin, Boulos 2008).
+/// Bounding volume hierarchy with eight children a node, all tested at once. Built by opening,
+/// child by child, the largest box of a binary tree (Wald, Benthin, Boulos 2008).
 template <class Set>
 struct WideBvh {
     static constexpr const char* name = "wide_bvh";
@@ -73,8 +74,8 @@ struct WideBvh {
     static constexpr int max_depth = 72;  ///< of the binary tree, and so of this
 
     WideNodes format = WideNodes::full;
-    AlignedVector<WideNode> nodes;            ///< format full: the root first
-    AlignedVector<QuantisedNode> quantised;   ///< format quantised
+    AlignedVector<WideNode> nodes;           ///< format full: the root first
+    AlignedVector<QuantisedNode> quantised;  ///< format quantised
     Leaves<Set> leaves;
     Bounds3 box;
     double cost = 0;

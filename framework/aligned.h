@@ -7,7 +7,8 @@
 
 namespace crofton {
 
-/// Allocator for nodes: on cache lines, and from 2 MiB on, on huge pages where the system gives them.
+/// Allocator for nodes: on cache lines, and from 2 MiB on, on huge pages where the system gives
+/// them.
 template <class T>
 struct CacheLineAllocator {
     using value_type = T;

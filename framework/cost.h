@@ -5,20 +5,20 @@ namespace crofton {
 /// Nominal costs in nanoseconds on a 3–4 GHz core with everything in cache: what area heuristics
 /// weigh nodes against shapes with, and what `expected_cost` sums. Ratios matter, not their unit.
 struct CostConstants {
-    double node = 3.0;            ///< both children of a binary node
-    double wide_node = 1.5;       ///< eight children at once, as a share of each binary node inside
-    double plane = 1.5;           ///< a step down a tree of planes
-    double octree_node = 5.0;     ///< three planes, eight children
+    double node = 3.0;         ///< both children of a binary node
+    double wide_node = 1.5;    ///< eight children at once, as a share of each binary node inside
+    double plane = 1.5;        ///< a step down a tree of planes
+    double octree_node = 5.0;  ///< three planes, eight children
     double triangle_gather = 5.0;  ///< four triangles by reference, before their test
-    double cell = 3.5;            ///< a step to the next grid cell
-    double triangle_block = 5.0;  ///< four triangles at once
+    double cell = 3.5;             ///< a step to the next grid cell
+    double triangle_block = 5.0;   ///< four triangles at once
     double sphere = 6.0;
     double cone = 14.0;
     double disc = 5.0;
-    double polygon = 4.0;          ///< plus, for each corner:
+    double polygon = 4.0;  ///< plus, for each corner:
     double polygon_corner = 2.0;
-    double object = 6.0;           ///< entering a nested object: box test and call
-    double instance = 12.0;        ///< transforming a ray
+    double object = 6.0;     ///< entering a nested object: box test and call
+    double instance = 12.0;  ///< transforming a ray
 };
 inline constexpr CostConstants cost_constants{};
 

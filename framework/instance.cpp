@@ -39,8 +39,10 @@ bool Instance::enter(const LocalRay& outer, const RayQuery& query, InstanceFrame
     // to object space. 32u covers both, and the rounding of origin and direction to float.
     const Vec3d magnitude = object_->bounds().empty()
                                 ? Vec3d(0, 0, 0)
-                                : object_->bounds().lower.cwiseAbs().cwiseMax(
-                                      object_->bounds().upper.cwiseAbs()).cast<double>();
+                                : object_->bounds()
+                                      .lower.cwiseAbs()
+                                      .cwiseMax(object_->bounds().upper.cwiseAbs())
+                                      .cast<double>();
     const Vec3d reach = frame.world_from_object.linear.cwiseAbs() * magnitude +
                         frame.world_from_object.translation.cwiseAbs() + o.cwiseAbs();
     const Vec3d pad = 0x1p-19 * (frame.object_from_world.linear.cwiseAbs() * reach);

@@ -8,9 +8,10 @@
 namespace crofton {
 
 /// Simple polygons with any number of corners, convex or not, planar up to rounding. Both sides are
-/// hit; u = v = 0. Tested whole (as the standard databases count them), in double on the object-space
-/// ray: corners are sheared to the ray, and the parity of crossings decides; a ray through an edge
-/// is inside. Polygons with a corner that is not finite, or without area, are inactive.
+/// hit; u = v = 0. Tested whole (as the standard databases count them), in double on the
+/// object-space ray: corners are sheared to the ray, and the parity of crossings decides; a ray
+/// through an edge is inside. Polygons with a corner that is not finite, or without area, are
+/// inactive.
 class PolygonSet {
   public:
     /// @param first  index of each polygon's first corner in `corners`, then corners.size()

@@ -49,8 +49,8 @@ class Primitive {
     /// In the primitive's own space; contains every point that a hit can have.
     const Bounds3& bounds() const { return bounds_; }
 
-    /// Closest hit with t in [ray.t_min, ray.t_max]; of several at the same t, the one with the lowest
-    /// (instance, geometry, primitive). Thread-safe, does not throw.
+    /// Closest hit with t in [ray.t_min, ray.t_max]; of several at the same t, the one with the
+    /// lowest (instance, geometry, primitive). Thread-safe, does not throw.
     Hit intersect(const Ray& ray) const;
     /// Whether anything is hit with t in [ray.t_min, ray.t_max].
     bool occluded(const Ray& ray) const;

@@ -38,7 +38,8 @@ int half_quadratic(double a, double b, double c, double (&roots)[2]) {
     return 2;
 }
 
-bool intersect_sphere(const QuadricShape& s, const DoubleRay& ray, const RayQuery& query, float& t) {
+bool intersect_sphere(const QuadricShape& s, const DoubleRay& ray, const RayQuery& query,
+                      float& t) {
     const double r = s.p_radius;
     if (!(r > 0)) return false;
     // From the point of the ray nearest to the centre, so that a far origin costs no digits
@@ -126,16 +127,21 @@ Bounds3 QuadricSet::bounds(uint32_t i) const {
             extend_by_disc(b, q, s.q_radius, axis);
             break;
         }
-        case QuadricKind::disc: extend_by_disc(b, p, s.p_radius, q.stableNormalized()); break;
+        case QuadricKind::disc:
+            extend_by_disc(b, p, s.p_radius, q.stableNormalized());
+            break;
     }
     return widened(b, 0x1p-22f);
 }
 
 double QuadricSet::cost(uint32_t i) const {
     switch (shapes_[i].kind) {
-        case QuadricKind::sphere: return cost_constants.sphere;
-        case QuadricKind::cone: return cost_constants.cone;
-        case QuadricKind::disc: return cost_constants.disc;
+        case QuadricKind::sphere:
+            return cost_constants.sphere;
+        case QuadricKind::cone:
+            return cost_constants.cone;
+        case QuadricKind::disc:
+            return cost_constants.disc;
     }
     return 0;
 }
@@ -144,9 +150,12 @@ bool QuadricSet::intersect(uint32_t i, const LocalRay& ray, const RayQuery& quer
     const QuadricShape& s = shapes_[i];
     const DoubleRay r = double_ray(ray);
     switch (s.kind) {
-        case QuadricKind::sphere: return intersect_sphere(s, r, query, t);
-        case QuadricKind::cone: return intersect_cone(s, r, query, t);
-        case QuadricKind::disc: return intersect_disc(s, r, query, t);
+        case QuadricKind::sphere:
+            return intersect_sphere(s, r, query, t);
+        case QuadricKind::cone:
+            return intersect_cone(s, r, query, t);
+        case QuadricKind::disc:
+            return intersect_disc(s, r, query, t);
     }
     return false;
 }

@@ -10,8 +10,8 @@ namespace crofton {
 
 enum class QuadricKind : uint32_t { sphere, cone, disc };
 
-/// One quadric, in object space: {center, radius}; {base, base_radius, apex, apex_radius} (a cylinder
-/// if the radii are equal; no caps); {center, radius, normal, inner_radius}.
+/// One quadric, in object space: {center, radius}; {base, base_radius, apex, apex_radius} (a
+/// cylinder if the radii are equal; no caps); {center, radius, normal, inner_radius}.
 struct QuadricShape {
     QuadricKind kind;
     Vec3f p;

@@ -8,9 +8,9 @@
 namespace crofton {
 
 /// A ray o + t·d for t in the closed interval [t_min, t_max]. World units; the direction needs no
-/// particular length, and t counts in units of it. A ray with a NaN, an infinite origin or direction,
-/// a zero direction, or t_min > t_max is a defined miss. The layout is that of a ray file: eight
-/// little-endian float32.
+/// particular length, and t counts in units of it. A ray with a NaN, an infinite origin or
+/// direction, a zero direction, or t_min > t_max is a defined miss. The layout is that of a ray
+/// file: eight little-endian float32.
 struct Ray {
     Vec3f origin = Vec3f::Zero();
     float t_min = 0.0f;

@@ -12,9 +12,7 @@ namespace hn = hwy::HWY_NAMESPACE;
 constexpr hn::FixedTag<float, 4> f4;
 using Float4 = hn::Vec<decltype(f4)>;
 
-float pow2(int exponent) {
-    return std::bit_cast<float>(uint32_t(exponent + 127) << 23);
-}
+float pow2(int exponent) { return std::bit_cast<float>(uint32_t(exponent + 127) << 23); }
 
 /// Whether lanes 0 to 2 are neither NaN nor infinite.
 bool finite3(Float4 v) {
@@ -51,8 +49,8 @@ void complete(LocalRay& ray, Float4 o, Float4 d, Float4 pad, float t_min, float 
               float limit) {
     pad = hn::Add(pad, hn::Set(f4, 0x1p-40f * magnitude));
     if (HWY_UNLIKELY(t_min < 0))
-        pad = hn::Add(pad, hn::Mul(hn::Set(f4, 4 * box_slack),
-                                   hn::Add(hn::Abs(o), hn::Set(f4, magnitude))));
+        pad = hn::Add(
+            pad, hn::Mul(hn::Set(f4, 4 * box_slack), hn::Add(hn::Abs(o), hn::Set(f4, magnitude))));
     const auto inverse = hn::Div(hn::Set(f4, 1.0f), d);
     const auto rcp = hn::CopySign(hn::Min(hn::Abs(inverse), hn::Set(f4, limit)), d);
     const auto shift = hn::CopySign(pad, rcp);
@@ -98,8 +96,8 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
 }
 
 void finish(LocalRay& ray, const RayQuery& query, float magnitude) {
-    const float largest = std::max(
-        std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])), std::abs(ray.direction[2]));
+    const float largest = std::max(std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])),
+                                   std::abs(ray.direction[2]));
     complete(ray, hn::LoadU(f4, ray.origin), hn::LoadU(f4, ray.direction), hn::LoadU(f4, ray.pad),
              query.t_min, magnitude, 0x1p60f / largest);
 }

@@ -26,34 +26,34 @@ struct InstanceFrame {
 
 /// A ray in one object's space, prepared for conservative box tests.
 ///
-/// A plane at b is met at fl(fl(b - near_origin)·rcp) or later and fl(fl(b - far_origin)·far_rcp) or
-/// earlier, the origins shifted by `pad` apart. The shift covers (a) the rounding of the origin, if it was transformed,
-/// (b) the error of a leaf test that works with fl(v - o), at most 4u·|v - o| per axis, where |o|
-/// dominates, (c) the replacement of 1/d by a finite number where d is 0 or tiny. What grows with
-/// |b - o| is covered by `box_slack`; since it shrinks a negative far distance, `pad` has that share
-/// too where t_min is negative.
+/// A plane at b is met at fl(fl(b - near_origin)·rcp) or later and fl(fl(b - far_origin)·far_rcp)
+/// or earlier, the origins shifted by `pad` apart. The shift covers (a) the rounding of the origin,
+/// if it was transformed, (b) the error of a leaf test that works with fl(v - o), at most 4u·|v -
+/// o| per axis, where |o| dominates, (c) the replacement of 1/d by a finite number where d is 0 or
+/// tiny. What grows with |b - o| is covered by `box_slack`; since it shrinks a negative far
+/// distance, `pad` has that share too where t_min is negative.
 struct LocalRay {
     // x, y, z, and a lane that means nothing.
     float origin[4];
     float direction[4];
     float near_origin[4];
     float far_origin[4];
-    float rcp[4];      ///< finite: 1/d, or ±2^60/max|d| where |d| is below that
-    float far_rcp[4];  ///< rcp·(1 + box_slack)
-    float pad[4];      ///< half-width of the thick ray that a structure must follow, >= 0
+    float rcp[4];                ///< finite: 1/d, or ±2^60/max|d| where |d| is below that
+    float far_rcp[4];            ///< rcp·(1 + box_slack)
+    float pad[4];                ///< half-width of the thick ray that a structure must follow, >= 0
     const InstanceFrame* frame;  ///< null: this is world space
 };
 
 /// Relative widening of a far box distance. Two slab distances carry 3 roundings each, γ3 = 3u; a
 /// leaf test may put a hit 8u·|v - o| outside its triangle. 16u = 2^-20 covers both.
 inline constexpr float box_slack = 0x1p-20f;
-/// A leaf test's t is right within 2^-15 (relative; far better unless the ray grazes the shape), so a node
-/// is culled only if it begins beyond
-/// t·(1 + 2^-14): no order of visits can then change which hit is found.
+/// A leaf test's t is right within 2^-15 (relative; far better unless the ray grazes the shape), so
+/// a node is culled only if it begins beyond t·(1 + 2^-14): no order of visits can then change
+/// which hit is found.
 inline constexpr float cull_slack = 0x1p-14f;
 
-/// One ray's progress. Space: world, with t scaled so that max|direction| is in [1, 2); scaling by a
-/// power of two loses nothing and keeps every product in range for |d| from 1e-30 to 1e30.
+/// One ray's progress. Space: world, with t scaled so that max|direction| is in [1, 2); scaling by
+/// a power of two loses nothing and keeps every product in range for |d| from 1e-30 to 1e30.
 struct RayQuery {
     float origin[4];
     float direction[4];

@@ -69,8 +69,8 @@ ParameterValue checked(const ParameterInfo& info, const ParameterValue& value) {
         return v;
     }
     if (std::holds_alternative<bool>(v)) return v;
-    const double x = std::holds_alternative<int64_t>(v) ? double(std::get<int64_t>(v))
-                                                        : std::get<double>(v);
+    const double x =
+        std::holds_alternative<int64_t>(v) ? double(std::get<int64_t>(v)) : std::get<double>(v);
     if (!(x >= info.minimum && x <= info.maximum))
         throw InputError(info.name + ": " + to_string(v) + " is outside " + number(info.minimum) +
                          " ... " + number(info.maximum));

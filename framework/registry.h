@@ -29,7 +29,8 @@ struct ParameterInfo {
 std::string to_string(const ParameterValue& value);
 
 /// Checks one value against `info` and converts an integer where a real is asked for.
-/// @throws InputError  without a file: "leaf_size: 99 is outside 1 … 64", "…: expected an integer, found a
+/// @throws InputError  without a file: "leaf_size: 99 is outside 1 … 64", "…: expected an integer,
+/// found a
 ///                     string", "unknown value 'x'; did you mean 'y'?"
 ParameterValue checked(const ParameterInfo& info, const ParameterValue& value);
 

@@ -43,9 +43,8 @@ HWY_INLINE hn::Vec<D> world_coordinate(D d, const TriangleBlock<W>& block, size_
         const auto x = hn::LoadU(d, block.v[k][0] + lane);
         const auto y = hn::LoadU(d, block.v[k][1] + lane);
         const auto z = hn::LoadU(d, block.v[k][2] + lane);
-        return hn::Add(
-            hn::Add(hn::Mul(hn::Set(d, m[0]), x), hn::Mul(hn::Set(d, m[1]), y)),
-            hn::Add(hn::Mul(hn::Set(d, m[2]), z), hn::Set(d, m[3])));
+        return hn::Add(hn::Add(hn::Mul(hn::Set(d, m[0]), x), hn::Mul(hn::Set(d, m[1]), y)),
+                       hn::Add(hn::Mul(hn::Set(d, m[2]), z), hn::Set(d, m[3])));
     }
 }
 
@@ -82,10 +81,10 @@ HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const 
 /// Tests the triangles of one block, in world space (Woop, Benthin, Wald 2013).
 ///
 /// An edge function is the difference of two rounded products of rounded, shared coordinates.
-/// Rounding is monotone, so a nonzero sign is right; a zero is decided in double, where the products
-/// are exact. Neighbours thus agree on every edge, and no ray passes between them. Lanes whose t might
-/// be off by more than 2^-15 are recomputed in double; the criterion compares the spread of depth
-/// that an error of the sheared corners can cause with t.
+/// Rounding is monotone, so a nonzero sign is right; a zero is decided in double, where the
+/// products are exact. Neighbours thus agree on every edge, and no ray passes between them. Lanes
+/// whose t might be off by more than 2^-15 are recomputed in double; the criterion compares the
+/// spread of depth that an error of the sheared corners can cause with t.
 template <Query Q, bool Framed, int W>
 HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, RayQuery& q,
                            const IdTable& ids) {
@@ -108,18 +107,16 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
         const auto za = hn::Mul(c.z[0], sz), zb = hn::Mul(c.z[1], sz), zc = hn::Mul(c.z[2], sz);
         const auto z_low = hn::Min(hn::Min(za, zb), zc), z_high = hn::Max(hn::Max(za, zb), zc);
         const float t_min = q.t_min - std::abs(q.t_min) * cull_slack;
-        hit = hn::And(hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)),
-                                   hn::Ge(z_high, hn::Set(d, t_min))));
+        hit = hn::And(
+            hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)), hn::Ge(z_high, hn::Set(d, t_min))));
         if (hn::AllFalse(d, hit)) continue;
         const auto wb = hn::Mul(b, rdet), wc = hn::Mul(e, rdet);
-        auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)),
-                         hn::Mul(wc, zc));
+        auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)), hn::Mul(wc, zc));
         t = hn::Min(hn::Max(t, z_low), z_high);
 
-        const auto reach = hn::Max(
-            hn::Max(hn::Max(hn::Abs(c.x[0]), hn::Abs(c.y[0])),
-                    hn::Max(hn::Abs(c.x[1]), hn::Abs(c.y[1]))),
-            hn::Max(hn::Abs(c.x[2]), hn::Abs(c.y[2])));
+        const auto reach = hn::Max(hn::Max(hn::Max(hn::Abs(c.x[0]), hn::Abs(c.y[0])),
+                                           hn::Max(hn::Abs(c.x[1]), hn::Abs(c.y[1]))),
+                                   hn::Max(hn::Abs(c.x[2]), hn::Abs(c.y[2])));
         const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
         const auto spread = hn::Mul(hn::Mul(hn::Mul(reach, hn::Abs(rdet)), hn::Sub(z_high, z_low)),
                                     hn::Mul(distance, hn::Set(d, 8.0f)));
@@ -127,10 +124,10 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
         const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
         auto sure = hn::And(hn::And(hn::Lt(spread, hn::Abs(t)), has_area),
                             hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
-        // Where even the largest error, with the roundings of t itself, leaves t outside the interval,
-        // nothing needs to be sure.
-        const auto error = hn::MulAdd(spread, hn::Set(d, 0x1p-14f),
-                                      hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
+        // Where even the largest error, with the roundings of t itself, leaves t outside the
+        // interval, nothing needs to be sure.
+        const auto error =
+            hn::MulAdd(spread, hn::Set(d, 0x1p-14f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
         const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
                                     hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
         hit = hn::AndNot(hn::And(outside, has_area), hit);
@@ -270,11 +267,15 @@ HWY_INLINE bool enter_object(const ObjectSet& set, uint32_t i, const LocalRay& r
     q.instance = outer + entry.instance;
     bool found = false;
     if constexpr (std::is_same_v<C, NoCounters>) {
-        if constexpr (Q == Query::any) found = entry.primitive->any_local(ray, q);
-        else entry.primitive->closest_local(ray, q);
+        if constexpr (Q == Query::any)
+            found = entry.primitive->any_local(ray, q);
+        else
+            entry.primitive->closest_local(ray, q);
     } else {
-        if constexpr (Q == Query::any) found = entry.primitive->any_local(ray, q, counters);
-        else entry.primitive->closest_local(ray, q, counters);
+        if constexpr (Q == Query::any)
+            found = entry.primitive->any_local(ray, q, counters);
+        else
+            entry.primitive->closest_local(ray, q, counters);
     }
     q.instance = outer;
     return found;

@@ -17,7 +17,8 @@ std::optional<Transform> inverse(const Transform& t) {
     const Eigen::Matrix3d inv = lu.inverse();
     const Transform result{inv, -(inv * t.translation)};
     if (!result.finite()) return std::nullopt;
-    // The kernels hold both maps in float: one that leaves its range is as useless as a singular one.
+    // The kernels hold both maps in float: one that leaves its range is as useless as a singular
+    // one.
     if (!result.linear.cast<float>().allFinite() || !t.linear.cast<float>().allFinite())
         return std::nullopt;
     if (!t.translation.cast<float>().allFinite()) return std::nullopt;

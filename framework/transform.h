@@ -31,7 +31,9 @@ inline Transform operator*(const Transform& a, const Transform& b) {
 }
 
 inline Transform translation(const Vec3d& t) { return {Eigen::Matrix3d::Identity(), t}; }
-inline Transform scaling(const Vec3d& s) { return {Eigen::Matrix3d(s.asDiagonal()), Vec3d::Zero()}; }
+inline Transform scaling(const Vec3d& s) {
+    return {Eigen::Matrix3d(s.asDiagonal()), Vec3d::Zero()};
+}
 /// Rotation by `angle` radians about a unit `axis`.
 Transform rotation(const Vec3d& axis, double angle);
 

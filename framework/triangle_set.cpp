@@ -14,7 +14,8 @@ TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> tria
         for (uint32_t index : triangles_[i])
             if (index >= positions_.size())
                 throw InputError("triangle " + std::to_string(i) + ": vertex index " +
-                                 std::to_string(index) + " of " + std::to_string(positions_.size()));
+                                 std::to_string(index) + " of " +
+                                 std::to_string(positions_.size()));
     positions_.push_back(Vec3f::Zero());
 }
 

@@ -43,7 +43,8 @@ class TriangleSet {
     IdTable ids_;
 };
 
-/// W triangles side by side, coordinate by coordinate. Unused lanes hold NaN, which no test accepts.
+/// W triangles side by side, coordinate by coordinate. Unused lanes hold NaN, which no test
+/// accepts.
 template <int W>
 struct alignas(sizeof(float) * W) TriangleBlock {
     float v[3][3][W];  ///< [vertex][axis][lane]
@@ -69,7 +70,8 @@ class TriangleLeaves {
 };
 
 /// The watertight test of one triangle, with edge signs decided in double and t, u, v computed in
-/// double: for the rays that graze an edge or the plane. Sees the same rounded shear as the SIMD test.
+/// double: for the rays that graze an edge or the plane. Sees the same rounded shear as the SIMD
+/// test.
 /// @param v  world-space vertices
 /// @return whether it is hit at any t; t within a float ulp unless the triangle is seen edge-on
 bool refine_triangle(const float (&v)[3][3], const RayQuery& query, float& t, float& u, float& w);

@@ -335,7 +335,7 @@ SceneStatistics statistics(const Scene& scene) {
             extend(world_from_object, scene.geometries[g], geometries[g], bounds);
     };
     const std::vector<uint64_t> below = placements_below(scene);
-    checked_placements(scene, below, size_t{1} << 27);
+    checked_placements(scene, below, max_placements);
     for_each_placement(scene, below, visit);
     result.depth = longest_path(scene);
     result.bounds_min = bounds.lower;

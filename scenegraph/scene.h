@@ -70,8 +70,8 @@ struct Mesh {
 struct Node {
     std::string name;  ///< as in the file; may be empty or repeated
     Transform parent_from_node;
-    std::vector<uint32_t> children;   ///< indices into Scene::nodes; a node may have several parents
-    std::optional<uint32_t> mesh;     ///< index into Scene::meshes
+    std::vector<uint32_t> children;  ///< indices into Scene::nodes; a node may have several parents
+    std::optional<uint32_t> mesh;    ///< index into Scene::meshes
     /// If not empty, the mesh is placed once per entry (EXT_mesh_gpu_instancing), each under this
     /// node's own transform; if empty, once.
     std::vector<Transform> node_from_instance;
@@ -82,8 +82,8 @@ struct Camera {
     Vec3d eye = Vec3d::Zero();
     Vec3d at = Vec3d(0, 0, -1);
     Vec3d up = Vec3d(0, 1, 0);
-    double fov_y = 0.7853981633974483;      ///< radians, full angle
-    double aspect = 1.0;                    ///< width / height
+    double fov_y = 0.7853981633974483;  ///< radians, full angle
+    double aspect = 1.0;                ///< width / height
 };
 
 struct Light {
@@ -115,7 +115,8 @@ struct Scene {
         return uint32_t(geometries.size() - 1);
     }
     /// Adds a mesh of one new geometry and a node that places it, under `parent` or as a root.
-    uint32_t add_object(const std::string& object_name, Geometry g, const Transform& parent_from_node = {},
+    uint32_t add_object(const std::string& object_name, Geometry g,
+                        const Transform& parent_from_node = {},
                         std::optional<uint32_t> parent = {});
     /// Adds a node that places an existing mesh (or nothing), under `parent` or as a root.
     uint32_t add_node(const std::string& node_name, std::optional<uint32_t> mesh,
@@ -127,16 +128,19 @@ inline const std::string& node_name(const Scene& scene, const Node& node) {
     return node.name.empty() && node.mesh ? scene.meshes[*node.mesh].name : node.name;
 }
 
-/// Loads a scene by the file's ending: .gltf .glb .obj .ply .nff. Reads geometry, hierarchy, camera,
-/// lights and base colours; images and unused attributes are not opened.
+/// Loads a scene by the file's ending: .gltf .glb .obj .ply .nff. Reads geometry, hierarchy,
+/// camera, lights and base colours; images and unused attributes are not opened.
 /// @throws InputError  one line that names the file and what cannot be used
 Scene load_scene(const std::string& path);
 
 /// Endings that load_scene knows, without the dot.
 const std::vector<std::string>& scene_endings();
 
-/// One placement of a mesh: a path from a root to a node, and for EXT_mesh_gpu_instancing the entry.
-/// `instance` ids of hits are indices of this list, which is in depth-first order.
+/// Shared nodes can multiply the placements of a small file beyond any memory.
+inline constexpr size_t max_placements = size_t{1} << 24;
+
+/// One placement of a mesh: a path from a root to a node, and for EXT_mesh_gpu_instancing the
+/// entry. `instance` ids of hits are indices of this list, which is in depth-first order.
 struct MeshInstance {
     uint32_t node;
     uint32_t mesh;
@@ -144,7 +148,7 @@ struct MeshInstance {
 };
 /// All placements, depth first. Does not recurse: chains of any depth are fine.
 /// @throws InputError  if there are more than `limit` placements (shared nodes can multiply them)
-std::vector<MeshInstance> mesh_instances(const Scene& scene, size_t limit = size_t{1} << 24);
+std::vector<MeshInstance> mesh_instances(const Scene& scene, size_t limit = max_placements);
 
 /// The counts and bounds that `crofton inspect --json` prints; keys as there.
 struct SceneStatistics {

@@ -1,5 +1,6 @@
 // Every registered accelerator, with every value of its choices, over every kind of set, against
-// brute force: the same bits in t, u, v and the ids. A new accelerator is tested without a line here.
+// brute force: the same bits in t, u, v and the ids. A new accelerator is tested without a line
+// here.
 
 #include <cstring>
 
@@ -149,7 +150,8 @@ TEST_CASE("a structure's own boxes stay inside its bounds and hold as many refer
 
 TEST_CASE("a wrong parameter is refused with its name, range or the nearest valid value") {
     const test::HardScene scene = test::hard_scenes()[1];
-    const auto message = [&](const std::string& name, const ParameterValues& values) -> std::string {
+    const auto message = [&](const std::string& name,
+                             const ParameterValues& values) -> std::string {
         try {
             accelerator(name).build(scene.set, values);
         } catch (const std::exception& e) {

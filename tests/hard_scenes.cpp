@@ -207,7 +207,8 @@ HardScene objects() {
     Random random(41);
     for (uint32_t i = 0; i < 20; ++i) {
         Soup soup = sphere(1, Vec3f::Constant(random.uniform(0.1f, 0.8f)), random.point(2));
-        const auto set = std::make_shared<const TriangleSet>(soup.p, soup.t, IdTable({{0, i % 3, 0, 0}}));
+        const auto set =
+            std::make_shared<const TriangleSet>(soup.p, soup.t, IdTable({{0, i % 3, 0, 0}}));
         list.push_back({accelerator("brute_force").build(set, {}), i});
         scene.vertices.insert(scene.vertices.end(), soup.p.begin(), soup.p.end());
     }
@@ -240,11 +241,11 @@ Vec3f Random::direction() {
 
 void icosphere(int level, std::vector<Vec3f>& p, Triangles& t) {
     const float f = 1.6180339887f;
-    p = {{-1, f, 0}, {1, f, 0}, {-1, -f, 0}, {1, -f, 0}, {0, -1, f}, {0, 1, f},
-         {0, -1, -f}, {0, 1, -f}, {f, 0, -1}, {f, 0, 1}, {-f, 0, -1}, {-f, 0, 1}};
-    t = {{0, 11, 5}, {0, 5, 1}, {0, 1, 7}, {0, 7, 10}, {0, 10, 11}, {1, 5, 9}, {5, 11, 4},
-         {11, 10, 2}, {10, 7, 6}, {7, 1, 8}, {3, 9, 4}, {3, 4, 2}, {3, 2, 6}, {3, 6, 8},
-         {3, 8, 9}, {4, 9, 5}, {2, 4, 11}, {6, 2, 10}, {8, 6, 7}, {9, 8, 1}};
+    p = {{-1, f, 0},  {1, f, 0},  {-1, -f, 0}, {1, -f, 0}, {0, -1, f},  {0, 1, f},
+         {0, -1, -f}, {0, 1, -f}, {f, 0, -1},  {f, 0, 1},  {-f, 0, -1}, {-f, 0, 1}};
+    t = {{0, 11, 5},  {0, 5, 1},  {0, 1, 7},  {0, 7, 10}, {0, 10, 11}, {1, 5, 9}, {5, 11, 4},
+         {11, 10, 2}, {10, 7, 6}, {7, 1, 8},  {3, 9, 4},  {3, 4, 2},   {3, 2, 6}, {3, 6, 8},
+         {3, 8, 9},   {4, 9, 5},  {2, 4, 11}, {6, 2, 10}, {8, 6, 7},   {9, 8, 1}};
     for (Vec3f& v : p) v.normalize();
     for (int l = 0; l < level; ++l) {
         std::map<std::pair<uint32_t, uint32_t>, uint32_t> middles;
@@ -348,12 +349,17 @@ std::vector<HardScene> hard_scenes() {
     scenes.push_back(triangles("one triangle", duplicates(1), 2));
     scenes.push_back(triangles("random triangles", random_soup(500, 0.15f), 3));
     scenes.push_back(triangles("long triangles", random_soup(100, 2.0f), 4));
-    scenes.push_back(triangles("a closed ball", sphere(3, Vec3f::Constant(1), Vec3f::Zero()), 5, true));
-    scenes.push_back(triangles("an anisotropic ball", sphere(2, {1e3f, 1, 1e-3f}, Vec3f::Zero()), 6, true));
-    scenes.push_back(triangles("a ball at 1e4", sphere(2, Vec3f::Constant(1), {1e4f, -1e4f, 1e4f}), 7, true));
+    scenes.push_back(
+        triangles("a closed ball", sphere(3, Vec3f::Constant(1), Vec3f::Zero()), 5, true));
+    scenes.push_back(
+        triangles("an anisotropic ball", sphere(2, {1e3f, 1, 1e-3f}, Vec3f::Zero()), 6, true));
+    scenes.push_back(
+        triangles("a ball at 1e4", sphere(2, Vec3f::Constant(1), {1e4f, -1e4f, 1e4f}), 7, true));
     scenes.back().inside = {1e4f, -1e4f, 1e4f};
-    scenes.push_back(triangles("a ball of 1e-18", sphere(2, Vec3f::Constant(1e-18f), Vec3f::Zero()), 8, true));
-    scenes.push_back(triangles("a ball of 1e18", sphere(2, Vec3f::Constant(1e18f), Vec3f::Zero()), 9, true));
+    scenes.push_back(
+        triangles("a ball of 1e-18", sphere(2, Vec3f::Constant(1e-18f), Vec3f::Zero()), 8, true));
+    scenes.push_back(
+        triangles("a ball of 1e18", sphere(2, Vec3f::Constant(1e18f), Vec3f::Zero()), 9, true));
     scenes.push_back(triangles("integer steps", steps(12), 10));
     scenes.push_back(triangles("broken triangles", broken(), 11));
     scenes.push_back(triangles("one triangle 300 times", duplicates(300), 12));

@@ -3,9 +3,9 @@
 #include <string>
 #include <vector>
 
+#include "framework/bounds.h"
 #include "framework/primitive_sets.h"
 #include "framework/ray.h"
-#include "framework/bounds.h"
 
 namespace crofton::test {
 
@@ -38,8 +38,10 @@ struct HardScene {
 std::vector<HardScene> hard_scenes();
 
 /// Rays for a scene with these bounds and vertices: random, axis-parallel (with both zeros), aimed
-/// at vertices and edges, from vertices, nearly parallel to axes, far, short, long and invalid ones.
-std::vector<Ray> hard_rays(const Bounds3& bounds, const std::vector<Vec3f>& vertices, uint64_t seed);
+/// at vertices and edges, from vertices, nearly parallel to axes, far, short, long and invalid
+/// ones.
+std::vector<Ray> hard_rays(const Bounds3& bounds, const std::vector<Vec3f>& vertices,
+                           uint64_t seed);
 
 Bounds3 bounds_of(const PrimitiveSet& set);
 

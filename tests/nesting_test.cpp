@@ -1,5 +1,5 @@
-// Accelerators inside accelerators: every ordered pair, three levels deep, under maps that scale, shear
-// and mirror. Hits have the bits of one flat structure over baked vertices.
+// Accelerators inside accelerators: every ordered pair, three levels deep, under maps that scale,
+// shear and mirror. Hits have the bits of one flat structure over baked vertices.
 
 #include <cstring>
 
@@ -59,8 +59,8 @@ TEST_CASE("every ordered pair nests three levels deep with the bits of the flat 
     uint32_t instance = 0;
     for (const Transform& outer : maps())
         for (const Transform& inner : maps()) world.add(p, t, outer * inner, instance++);
-    const auto flat_set = std::make_shared<const TriangleSet>(world.positions, world.triangles,
-                                                              IdTable(world.runs));
+    const auto flat_set =
+        std::make_shared<const TriangleSet>(world.positions, world.triangles, IdTable(world.runs));
     const auto flat = accelerator("brute_force").build(flat_set, {});
     const std::vector<Ray> rays = test::hard_rays(flat->bounds(), world.positions, 5);
 
@@ -73,8 +73,8 @@ TEST_CASE("every ordered pair nests three levels deep with the bits of the flat 
             const std::shared_ptr<const Primitive> middle =
                 outer_info.build(std::make_shared<const ObjectSet>(low), {});
             for (uint32_t i = 0; i < maps().size(); ++i)
-                high.push_back({std::make_shared<Instance>(middle, maps()[i]),
-                                i * uint32_t(maps().size())});
+                high.push_back(
+                    {std::make_shared<Instance>(middle, maps()[i]), i * uint32_t(maps().size())});
             const auto top = inner_info.build(std::make_shared<const ObjectSet>(high), {});
 
             size_t wrong = 0;
@@ -99,8 +99,12 @@ TEST_CASE("quadrics and triangles nest in one structure") {
         // The fine mesh is inscribed in the sphere: an ellipsoid around it is hit first, always.
         const Transform map = translation({3, 2, 1}) * shear(0.3, 0.2) * scaling({2, 0.7, 1.3});
         std::vector<ObjectSet::Object> both{
-            {std::make_shared<Instance>(std::shared_ptr<const Primitive>(info.build(mesh, {})), map), 0},
-            {std::make_shared<Instance>(std::shared_ptr<const Primitive>(info.build(ball, {})), map), 1}};
+            {std::make_shared<Instance>(std::shared_ptr<const Primitive>(info.build(mesh, {})),
+                                        map),
+             0},
+            {std::make_shared<Instance>(std::shared_ptr<const Primitive>(info.build(ball, {})),
+                                        map),
+             1}};
         const auto top = info.build(std::make_shared<const ObjectSet>(both), {});
         size_t hits = 0, wrong = 0;
         for (int i = 0; i < 2000; ++i) {
@@ -133,14 +137,15 @@ TEST_CASE("thirty-two nested transforms keep the hit of the composed map") {
         }
         World world;
         world.add(p, t, composed, 0);
-        const auto flat = info.build(
-            std::make_shared<const TriangleSet>(world.positions, world.triangles), {});
+        const auto flat =
+            info.build(std::make_shared<const TriangleSet>(world.positions, world.triangles), {});
         test::Random random(17);
         size_t missed = 0, far = 0;
         for (int i = 0; i < 1000; ++i) {
             const Vec3f target = world.positions[random.next() % world.positions.size()];
             Ray ray;
-            ray.origin = flat->bounds().center() + random.direction() * flat->bounds().extent().norm();
+            ray.origin =
+                flat->bounds().center() + random.direction() * flat->bounds().extent().norm();
             ray.direction = target - ray.origin;
             const Hit a = flat->intersect(ray), b = nested->intersect(ray);
             missed += a.is_hit() != b.is_hit();

@@ -89,7 +89,7 @@ TEST_CASE("scene: shared nodes that multiply beyond the limit are refused at onc
     scene.nodes.push_back({"", {}, {}, 0u, {}});
     scene.roots = {0};
     CHECK_THROWS_WITH(mesh_instances(scene),
-                      ContainsSubstring("more than 134217728 mesh instances"));
+                      ContainsSubstring("more than 16777216 mesh instances"));
     CHECK_THROWS_AS(statistics(scene), InputError);
     SECTION("and cost nothing if they lead to no mesh") {
         scene.nodes.back().mesh.reset();

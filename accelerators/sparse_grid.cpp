@@ -1,0 +1,520 @@
+#include "accelerators/sparse_grid.h"
+
+#include <nanovdb/NanoVDB.h>
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "accelerators/sparse_grid.cpp"
+#include <hwy/foreach_target.h>
+
+#include "accelerators/grid_walk.h"
+#include "framework/accelerator.h"
+
+#ifndef CROFTON_ACCELERATORS_SPARSE_GRID_CPP_ONCE_
+#define CROFTON_ACCELERATORS_SPARSE_GRID_CPP_ONCE_
+namespace crofton {
+
+using UpperNode = nanovdb::Int32Tree::Node2;
+using LowerNode = nanovdb::Int32Tree::Node1;
+using LeafNode = nanovdb::Int32Tree::Node0;
+
+/// 2^log2_dim blocks per axis, each 2^log2_span voxels wide.
+template <class Node>
+struct NodeShape {
+    static constexpr int log2_dim = int(Node::LOG2DIM);
+    static constexpr int log2_span = int(Node::TOTAL) - log2_dim;
+    static constexpr int dim = 1 << log2_dim, span = 1 << log2_span;
+    static uint32_t offset(int x, int y, int z) {
+        return (uint32_t(x) << (2 * log2_dim)) | (uint32_t(y) << log2_dim) | uint32_t(z);
+    }
+};
+static_assert(NodeShape<UpperNode>::dim * NodeShape<UpperNode>::span == 4096);
+
+inline const LowerNode* child(const UpperNode& node, uint32_t offset) {
+    return node.childMask().isOn(offset) ? node.data()->getChild(offset) : nullptr;
+}
+inline const LeafNode* child(const LowerNode& node, uint32_t offset) {
+    return node.childMask().isOn(offset) ? node.data()->getChild(offset) : nullptr;
+}
+
+}  // namespace crofton
+#endif
+
+namespace crofton {
+const UpperNode& upper_node(const SparseVoxels& voxels);
+}
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+
+/// One ray's way through the nodes of one class.
+template <Query Q, class Test, class Set, class C>
+class SparseGridWalk {
+  public:
+    SparseGridWalk(const GridSpace& space, const uint32_t* references, const LocalRay& ray,
+                   const ExactRay& exact, RayQuery& q, C& counters, Test& test)
+        : space_(space), references_(references), ray_(ray), exact_(exact), q_(q),
+          counters_(counters), test_(test) {}
+
+    bool run(const UpperNode& root) {
+        bool thick = false;
+        for (int a = 0; a < 3; ++a) {
+            reach_[a] = space_.reach(ray_, a);
+            thick |= reach_[a] > space_.margin[a];
+        }
+        const int base[3] = {0, 0, 0};
+        if (HWY_UNLIKELY(thick)) return enter_thick(root, base);
+        constexpr double none[3] = {0, 0, 0};
+        double t_enter;
+        if (!meets_grid(space_, exact_, q_, none, t_enter, t_leave_)) return false;
+        return enter(root, base, t_enter);
+    }
+
+  private:
+    /// Walks the blocks of a node along the exact ray. Where a block is empty, that is one step,
+    /// whatever its size; planes are those of the voxels at its sides.
+    template <class Node>
+    bool enter(const Node& node, const int (&base)[3], double t) {
+        using Shape = NodeShape<Node>;
+        constexpr double infinity = std::numeric_limits<double>::infinity();
+        int i[3], step[3], end[3];
+        double next[3];
+        for (int a = 0; a < 3; ++a) {
+            const int voxel = space_.index(a, exact_.at(t, a)) - base[a];
+            i[a] = std::clamp(voxel >> Shape::log2_span, 0, Shape::dim - 1);
+            const bool up = exact_.direction[a] > 0;
+            step[a] = up ? 1 : -1;
+            end[a] = up ? Shape::dim : -1;
+            next[a] = exact_.direction[a] == 0 ? infinity : plane<Shape>(base, a, i[a] + up);
+        }
+        // Called with constants, so that all of it stays in registers.
+        const auto advance = [&](int a) HWY_ATTR {
+            i[a] += step[a];
+            t = next[a];
+            // Nodes reach beyond the grid, up to 4096 voxels.
+            if (i[a] == end[a] || t > double(q_.t_cull) || t > t_leave_) return false;
+            next[a] = plane<Shape>(base, a, i[a] + (step[a] > 0));
+            return true;
+        };
+        while (true) {
+            if (visit(node, base, i[0], i[1], i[2], t)) return true;
+            const bool on = next[0] <= next[1] ? (next[0] <= next[2] ? advance(0) : advance(2))
+                                               : (next[1] <= next[2] ? advance(1) : advance(2));
+            if (!on) return false;
+        }
+    }
+    template <class Shape>
+    HWY_INLINE double plane(const int (&base)[3], int a, int block) const {
+        return (space_.plane(a, base[a] + (block << Shape::log2_span)) - exact_.origin[a]) *
+               exact_.inverse[a];
+    }
+
+    template <class Node>
+    HWY_INLINE bool visit(const Node& node, const int (&base)[3], int x, int y, int z, double t) {
+        using Shape = NodeShape<Node>;
+        const uint32_t offset = Shape::offset(x, y, z);
+        counters_.step();
+        if constexpr (std::is_same_v<Node, LeafNode>) {
+            return test_voxel(node, offset);
+        } else {
+            const auto* inner = child(node, offset);
+            if (!inner) {
+                counters_.cell(true);
+                return false;
+            }
+            const int origin[3] = {base[0] + (x << Shape::log2_span),
+                                   base[1] + (y << Shape::log2_span),
+                                   base[2] + (z << Shape::log2_span)};
+            return enter(*inner, origin, t);
+        }
+    }
+    HWY_INLINE bool test_voxel(const LeafNode& leaf, uint32_t offset) {
+        const bool active = leaf.valueMask().isOn(offset);
+        counters_.cell(!active);
+        if (!active) return false;
+        const uint32_t* list = references_ + (leaf.getValue(offset) - 1);
+        return test_(list + 1, *list);
+    }
+
+    /// The same for a ray that is thicker than the margins: every node looks at all its blocks that
+    /// the thick ray touches.
+    template <class Node>
+    bool enter_thick(const Node& node, const int (&base)[3]) {
+        using Shape = NodeShape<Node>;
+        GridSpace blocks = space_;
+        for (int a = 0; a < 3; ++a) {
+            blocks.lower[a] = space_.plane(a, base[a]);
+            blocks.cell[a] = space_.cell[a] * Shape::span;
+            blocks.inverse_cell[a] = 1 / blocks.cell[a];
+            blocks.resolution[a] =
+                std::min(Shape::dim, (space_.resolution[a] - base[a] + Shape::span - 1) >>
+                                         Shape::log2_span);
+            blocks.box.lower[a] = float(blocks.lower[a]);
+            blocks.box.upper[a] = float(blocks.plane(a, blocks.resolution[a]));
+        }
+        double t_enter, t_leave;
+        if (!meets_grid(blocks, exact_, q_, reach_, t_enter, t_leave)) return false;
+        const auto visit_block = [&](size_t cell) HWY_ATTR {
+            const int nx = blocks.resolution[0], ny = blocks.resolution[1];
+            const int i[3] = {int(cell % nx), int(cell / nx % ny), int(cell / nx / ny)};
+            return visit_thick(node, base, i);
+        };
+        const auto past = [&](double t) HWY_ATTR { return t > double(q_.t_cull); };
+        return walk_cells_thick(blocks, ray_, t_enter, t_leave, visit_block, past);
+    }
+    template <class Node>
+    bool visit_thick(const Node& node, const int (&base)[3], const int (&i)[3]) {
+        using Shape = NodeShape<Node>;
+        const uint32_t offset = Shape::offset(i[0], i[1], i[2]);
+        counters_.step();
+        if constexpr (std::is_same_v<Node, LeafNode>) {
+            return test_voxel(node, offset);
+        } else {
+            const auto* inner = child(node, offset);
+            if (!inner) {
+                counters_.cell(true);
+                return false;
+            }
+            int origin[3];
+            for (int a = 0; a < 3; ++a) origin[a] = base[a] + (i[a] << Shape::log2_span);
+            return enter_thick(*inner, origin);
+        }
+    }
+
+    const GridSpace& space_;
+    const uint32_t* references_;
+    const LocalRay& ray_;
+    const ExactRay& exact_;
+    RayQuery& q_;
+    C& counters_;
+    Test& test_;
+    double reach_[3];
+    double t_leave_;  ///< where the exact ray leaves the grid
+};
+
+struct SparseGridTraversal {
+    template <Query Q, class Set, class C>
+    static bool run(const SparseGrid<Set>& grid, const Set& set, const LocalRay& ray, RayQuery& q,
+                    C& counters) {
+        if (grid.classes.empty()) return false;
+        if (!grid.mailbox) {
+            const auto test = [&](const uint32_t* shapes, uint32_t count) HWY_ATTR {
+                return test_references<Q>(set, shapes, count, ray, q, counters);
+            };
+            return run_classes<Q>(grid, ray, q, counters, test);
+        }
+        Mailbox mailbox;
+        const auto test = [&](const uint32_t* shapes, uint32_t count) HWY_ATTR {
+            constexpr uint32_t batch = 64;
+            for (uint32_t i = 0; i < count; i += batch) {
+                uint32_t fresh[batch];
+                const uint32_t n = mailbox.filter(shapes + i, std::min(batch, count - i), fresh);
+                if (n && test_references<Q>(set, fresh, n, ray, q, counters)) return true;
+            }
+            return false;
+        };
+        return run_classes<Q>(grid, ray, q, counters, test);
+    }
+
+  private:
+    template <Query Q, class Test, class Set, class C>
+    static bool run_classes(const SparseGrid<Set>& grid, const LocalRay& ray, RayQuery& q,
+                            C& counters, const Test& test) {
+        const ExactRay exact(ray, q);
+        for (const SparseGridClass& one : grid.classes) {
+            SparseGridWalk<Q, const Test, Set, C> walk(one.space, grid.references.data(), ray, exact,
+                                                       q, counters, test);
+            if (walk.run(upper_node(*one.voxels))) return true;
+        }
+        return false;
+    }
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+CROFTON_ACCELERATOR_KERNELS(SparseGrid, SparseGridTraversal, SparseGridParameters)
+
+#if HWY_ONCE
+#include <openvdb/openvdb.h>
+
+#include <nanovdb/util/OpenToNanoVDB.h>
+
+#include "accelerators/binary_tree.h"
+#include "framework/cost.h"
+#include "framework/crofton.h"
+#include "framework/parallel.h"
+
+namespace crofton {
+
+struct SparseVoxels {
+    nanovdb::GridHandle<nanovdb::HostBuffer> handle;
+    const UpperNode* root;
+};
+const UpperNode& upper_node(const SparseVoxels& voxels) { return *voxels.root; }
+
+namespace {
+
+constexpr double most_references = 24;       ///< per shape, in one class
+constexpr size_t most_leaf_bytes = 1 << 10;  ///< of leaf nodes, per shape, beyond the first 64 MiB
+constexpr double enter_cost = 8.0;           ///< nominal ns to enter a node
+
+/// A shape in a voxel. Keys sort by leaf node, then by place in it.
+struct Entry {
+    uint64_t key;
+    uint32_t shape;
+};
+uint64_t voxel_key(int x, int y, int z) {
+    const uint64_t leaf = (uint64_t(x >> 3) << 18) | (uint64_t(y >> 3) << 9) | uint64_t(z >> 3);
+    return (leaf << 9) | NodeShape<LeafNode>::offset(x & 7, y & 7, z & 7);
+}
+openvdb::Coord voxel_of(uint64_t key) {
+    const int leaf = int(key >> 9), voxel = int(key & 511);
+    return {((leaf >> 18) << 3) | (voxel >> 6), (((leaf >> 9) & 511) << 3) | ((voxel >> 3) & 7),
+            ((leaf & 511) << 3) | (voxel & 7)};
+}
+
+/// Stable, by key: three passes of 12 bits.
+void radix_sort(std::vector<Entry>& entries) {
+    std::vector<Entry> other(entries.size());
+    for (int shift = 0; shift < 36; shift += 12) {
+        std::vector<size_t> place(4097, 0);
+        for (const Entry& e : entries) ++place[((e.key >> shift) & 4095) + 1];
+        for (int i = 0; i < 4096; ++i) place[i + 1] += place[i];
+        for (const Entry& e : entries) other[place[(e.key >> shift) & 4095]++] = e;
+        entries.swap(other);
+    }
+}
+
+template <class Set>
+class SparseGridBuilder {
+  public:
+    SparseGridBuilder(const Set& set, const SparseGridParameters& p, SparseGrid<Set>& out)
+        : set_(set), p_(p), out_(out) {}
+
+    void build() {
+        std::vector<BuildReference> shapes = build_references(set_);
+        if (shapes.empty()) return;
+        double cost_sum = 0;
+        for (const BuildReference& r : shapes) {
+            out_.box.extend(r.bounds);
+            cost_sum += r.cost;
+        }
+        const double active = double(shapes.size());
+        for (int left = p_.size_classes; !shapes.empty(); --left) {
+            std::vector<BuildReference> large = left > 1 ? split_off_large(shapes) : std::vector<BuildReference>{};
+            add_class(shapes);
+            shapes = std::move(large);
+        }
+        std::reverse(out_.classes.begin(), out_.classes.end());
+        out_.stats.depth = 3;
+        out_.stats.bytes += out_.references.size() * sizeof(uint32_t);
+        out_.mailbox = wants_mailbox(p_.mailbox, std::is_same_v<Set, ObjectSet>,
+                                     double(out_.stats.N_OIV), active, cost_sum / active);
+    }
+
+  private:
+    static constexpr bool flat =
+        std::is_same_v<Set, TriangleSet> || std::is_same_v<Set, PolygonSet>;
+
+    static double extent_of(const Bounds3& b) {
+        return (b.upper.cast<double>() - b.lower.cast<double>()).maxCoeff();
+    }
+    static Bounds3 bounds_of(const std::vector<BuildReference>& shapes) {
+        Bounds3 b;
+        for (const BuildReference& r : shapes) b.extend(r.bounds);
+        return b;
+    }
+    /// Edge of a voxel for these shapes, before memory limits it.
+    double voxel_for(const std::vector<BuildReference>& shapes, const Bounds3& content) const {
+        std::vector<double> extents(shapes.size());
+        for (size_t i = 0; i < shapes.size(); ++i) extents[i] = extent_of(shapes[i].bounds);
+        std::nth_element(extents.begin(), extents.begin() + extents.size() / 2, extents.end());
+        return std::max({extents[extents.size() / 2] / p_.density,
+                         extent_of(content) / p_.max_resolution,
+                         double(std::numeric_limits<float>::min())});
+    }
+    static double references_of(const std::vector<BuildReference>& shapes, double voxel) {
+        double sum = 0;
+        const Vec3d cell = Vec3d::Constant(voxel);
+        for (const BuildReference& r : shapes) sum += cells_spanned(r.bounds, cell, flat);
+        return sum;
+    }
+
+    /// Where few large shapes would fill most voxels, they are moved to a coarser grid.
+    std::vector<BuildReference> split_off_large(std::vector<BuildReference>& shapes) const {
+        const double voxel = voxel_for(shapes, bounds_of(shapes));
+        std::vector<BuildReference> large;
+        if (references_of(shapes, voxel) <= most_references * double(shapes.size())) return large;
+        const auto middle = std::stable_partition(
+            shapes.begin(), shapes.end(),
+            [&](const BuildReference& r) { return extent_of(r.bounds) <= 8 * voxel; });
+        if (middle == shapes.begin()) return large;
+        large.assign(middle, shapes.end());
+        shapes.erase(middle, shapes.end());
+        return large;
+    }
+
+    /// Shapes by voxel, at the finest resolution that memory allows.
+    std::vector<Entry> entries_of(const std::vector<BuildReference>& shapes, const Bounds3& content,
+                                  GridSpace& space) const {
+        double voxel = voxel_for(shapes, content);
+        while (references_of(shapes, voxel) > most_references * double(shapes.size()) + 4096 &&
+               voxel < extent_of(content))
+            voxel *= 1.25;
+        while (true) {
+            Vec3i n;
+            for (int a = 0; a < 3; ++a) {
+                const double extent = double(content.upper[a]) - content.lower[a];
+                n[a] = int(std::clamp(std::ceil(extent / voxel), 1.0, double(p_.max_resolution)));
+            }
+            space = widened_space(content, n, content.magnitude(), out_.box.magnitude());
+            std::vector<Entry> entries = enter_all(shapes, space);
+            radix_sort(entries);
+            size_t leaves = 0;
+            for (size_t i = 0; i < entries.size(); ++i)
+                leaves += i == 0 || entries[i].key >> 9 != entries[i - 1].key >> 9;
+            if (leaves * sizeof(LeafNode) <= (size_t(64) << 20) + most_leaf_bytes * shapes.size() ||
+                n.maxCoeff() == 1)
+                return entries;
+            voxel *= 2;
+        }
+    }
+    std::vector<Entry> enter_all(const std::vector<BuildReference>& shapes,
+                                 const GridSpace& space) const {
+        constexpr size_t range = 4096;
+        std::vector<std::vector<Entry>> parts((shapes.size() + range - 1) / range);
+        parallel_for(parts.size(), 1, [&](size_t begin, size_t end) {
+            for (size_t part = begin; part < end; ++part)
+                for (size_t i = part * range; i < std::min(shapes.size(), (part + 1) * range); ++i)
+                    for_each_cell(space, set_, shapes[i].shape, [&](int x, int y, int z) {
+                        parts[part].push_back({voxel_key(x, y, z), shapes[i].shape});
+                    });
+        });
+        std::vector<Entry> all;
+        for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
+        return all;
+    }
+
+    void add_class(const std::vector<BuildReference>& shapes) {
+        const Bounds3 content = bounds_of(shapes);
+        SparseGridClass one;
+        const std::vector<Entry> entries = entries_of(shapes, content, one.space);
+        const auto tree = openvdb::Int32Grid::create(0);
+        auto accessor = tree->getAccessor();
+        double cost = 0;
+        size_t voxels = 0;
+        for (size_t i = 0, end; i < entries.size(); i = end) {
+            end = i;
+            while (end < entries.size() && entries[end].key == entries[i].key) ++end;
+            accessor.setValueOn(voxel_of(entries[i].key), int32_t(out_.references.size() + 1));
+            out_.references.push_back(uint32_t(end - i));
+            for (size_t k = i; k < end; ++k) {
+                out_.references.push_back(entries[k].shape);
+                cost += reference_cost(entries[k].shape);
+            }
+            ++voxels;
+        }
+        auto nano = std::make_shared<SparseVoxels>();
+        nano->handle = nanovdb::openToNanoVDB(*tree, nanovdb::StatsMode::Disable,
+                                              nanovdb::ChecksumMode::Disable);
+        const auto& nano_tree = nano->handle.template grid<int32_t>()->tree();
+        nano->root = nano_tree.template getFirstNode<2>();
+        count(one, content, nano_tree.nodeCount(1), nano_tree.nodeCount(0), voxels, entries.size(),
+              cost);
+        out_.stats.bytes += nano->handle.size();
+        one.voxels = std::move(nano);
+        out_.classes.push_back(std::move(one));
+    }
+    double reference_cost(uint32_t shape) const {
+        const bool gathered = std::is_same_v<Set, TriangleSet>;
+        return set_.cost(shape) + (gathered ? cost_constants.triangle_gather / 4 : 0);
+    }
+
+    /// Statistics, and the expected cost: a line meets each node and voxel as its area says.
+    void count(const SparseGridClass& one, const Bounds3& content, size_t lower, size_t leaves,
+               size_t voxels, size_t references, double cost) {
+        const Vec3i n = one.space.resolution;
+        const Vec3i blocks = (n.array() + 127) / 128;
+        const size_t empty = size_t(blocks.prod()) - lower + lower * 4096 - leaves + leaves * 512 - voxels;
+        out_.stats.N_IN += 1 + lower + leaves;
+        out_.stats.N_V += voxels + empty;
+        out_.stats.N_EV += empty;
+        out_.stats.N_OIV += references;
+
+        const double all = std::max(half_area(out_.box), std::numeric_limits<double>::min());
+        const auto met = [&](double edge) {
+            Bounds3 b;
+            b.lower = Vec3f::Zero();
+            for (int a = 0; a < 3; ++a) b.upper[a] = float(edge * one.space.cell[a]);
+            return std::min(1.0, half_area(b) / all);
+        };
+        const double step = cost_constants.cell;
+        out_.cost += hit_probability(content, out_.box) *
+                         (enter_cost + step * expected_cells(blocks, content)) +
+                     double(lower) * met(128) * (enter_cost + 16 * step) +
+                     double(leaves) * met(8) * (enter_cost + 8 * step) + met(1) * cost;
+    }
+
+    const Set& set_;
+    const SparseGridParameters& p_;
+    SparseGrid<Set>& out_;
+};
+
+/// Calls visit(block's first voxel, block's edge in voxels, child or null, offset) for blocks in use.
+template <class Node, class Visit>
+void for_each_child(const Node& node, const Vec3i& base, Visit&& visit) {
+    using Shape = NodeShape<Node>;
+    for (int x = 0; x < Shape::dim; ++x)
+        for (int y = 0; y < Shape::dim; ++y)
+            for (int z = 0; z < Shape::dim; ++z)
+                if (const auto* inner = child(node, Shape::offset(x, y, z)))
+                    visit(*inner, Vec3i(base + Vec3i(x, y, z) * Shape::span));
+}
+
+}  // namespace
+
+template <class Set>
+SparseGrid<Set> SparseGrid<Set>::build(const Set& set, const SparseGridParameters& p) {
+    SparseGrid grid;
+    SparseGridBuilder<Set>(set, p, grid).build();
+    return grid;
+}
+
+/// Empty blocks and voxels are not visited: there may be 2^36 of them.
+template <class Set>
+void SparseGrid<Set>::walk(const BoxVisitor& visit) const {
+    for (const SparseGridClass& one : classes) {
+        const auto box_of = [&](const Vec3i& first, int edge) {
+            Bounds3 b;
+            for (int a = 0; a < 3; ++a) {
+                b.lower[a] = float(one.space.plane(a, first[a]));
+                b.upper[a] = float(one.space.plane(a, first[a] + edge));
+            }
+            b = intersection(b, box);
+            b.upper = b.upper.cwiseMax(b.lower);
+            return b;
+        };
+        visit(box_of(Vec3i::Zero(), 4096), 0, false, 0);
+        for_each_child(upper_node(*one.voxels), Vec3i::Zero(), [&](const LowerNode& lower,
+                                                                   const Vec3i& at) {
+            visit(box_of(at, 128), 1, false, 0);
+            for_each_child(lower, at, [&](const LeafNode& leaf, const Vec3i& corner) {
+                visit(box_of(corner, 8), 2, false, 0);
+                for (uint32_t i = 0; i < 512; ++i)
+                    if (leaf.valueMask().isOn(i))
+                        visit(box_of(corner + Vec3i(i >> 6, (i >> 3) & 7, i & 7), 1), 3, true,
+                              references[size_t(leaf.getValue(i)) - 1]);
+            });
+        });
+    }
+}
+
+CROFTON_REGISTER_ACCELERATOR(
+    SparseGrid, SparseGridParameters, "sparse_grid",
+    "sparse grid of fine voxels in a VDB tree, empty space skipped a node at a time",
+    "Museth 2013: VDB; Museth 2021: NanoVDB; lists per voxel: Fujimoto, Tanaka, Iwata 1986");
+
+}  // namespace crofton
+#endif
