@@ -30,7 +30,7 @@ class ChildPairTest {
         shrink(q);
     }
     void shrink(const RayQuery& q) {
-        limits_ = hn::ConcatLowerLower(D(), hn::Set(D(), -q.t_cull), hn::Set(D(), q.t_min));
+        limits_ = hn::ConcatLowerLower(D(), hn::Set(D(), -q.t_cull), hn::Set(D(), q.t_low));
     }
     /// @param t_near  lanes 0 and 1: where the ray enters each child
     /// @return bit i: child i may be hit

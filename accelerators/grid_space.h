@@ -70,9 +70,10 @@ struct GridSpace {
     }
 };
 
-/// A grid a margin larger than its content, so that the exact ray is inside wherever a shape in it may
-/// be hit. Margins hold the reach of rays that begin within a few sizes of the whole scene, unless that
-/// would make them a large part of a fine cell, but always that of rays that begin near the shapes.
+/// A grid a margin larger than its content, so that the exact ray is inside wherever a shape in it
+/// may be hit. Margins hold the reach of rays that begin within a few sizes of the whole scene,
+/// unless that would make them a large part of a fine cell, but always that of rays that begin near
+/// the shapes.
 /// @param shapes  magnitude of the shapes in the grid, parts outside the content included
 /// @param scene   magnitude of all shapes of the structure
 inline GridSpace widened_space(const Bounds3& content, const Vec3i& n, double shapes,
@@ -83,9 +84,9 @@ inline GridSpace widened_space(const Bounds3& content, const Vec3i& n, double sh
     for (int a = 0; a < 3; ++a) {
         const double cell = (double(content.upper[a]) - content.lower[a]) / n[a];
         const double wanted = 0x1p-18 * scene;
-        margin[a] =
-            std::max({0x1p-12 * cell, 0x1p-19 * shapes, n[a] == 1 ? wanted : std::min(wanted, cell / 4),
-                      double(std::numeric_limits<float>::min())});
+        margin[a] = std::max({0x1p-12 * cell, 0x1p-19 * shapes,
+                              n[a] == 1 ? wanted : std::min(wanted, cell / 4),
+                              double(std::numeric_limits<float>::min())});
         box.lower[a] = std::nextafter(float(box.lower[a] - margin[a]), -largest);
         box.upper[a] = std::nextafter(float(box.upper[a] + margin[a]), largest);
     }

@@ -26,7 +26,7 @@ struct ExactRay {
             direction[a] = ray.direction[a] + 0.0;  // -0 becomes 0
             inverse[a] = 1 / direction[a];
         }
-        t_min = double(q.t_min) - std::abs(double(q.t_min)) * cull_slack;
+        t_min = q.t_low;
     }
     double at(double t, int axis) const { return origin[axis] + t * direction[axis]; }
 };

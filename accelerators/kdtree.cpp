@@ -57,9 +57,11 @@ struct KdTreeTraversal {
                 const ThickRay::Axis& axis = thick.axis[node->axis()];
                 const float enter_second = axis.enter(node->split());
                 const float leave_first = axis.leave(node->split());
-                const KdNode* children[2] = {node + 1, nodes + node->above()};
-                const KdNode* first = children[axis.down];
-                const KdNode* second = children[axis.down ^ 1];
+                // By arithmetic: a table of two would be written and read back at every step.
+                const uint32_t below = uint32_t(node - nodes) + 1;
+                const uint32_t swap = (below ^ node->above()) & (0u - axis.down);
+                const KdNode* first = nodes + (below ^ swap);
+                const KdNode* second = nodes + (node->above() ^ swap);
                 if (leave_first < t_enter) {
                     node = second;
                 } else if (enter_second > t_leave) {

@@ -43,8 +43,8 @@ class NestedGridWalk {
             if (!meets_grid(grid.space, exact_, q_, reach, t_enter, t_leave)) return false;
             return walk_cells_thick(grid.space, ray_, t_enter, t_leave, visit, past);
         }
-        // The box is a margin larger than what is in it, so that the exact ray is inside it wherever a
-        // shape may be hit.
+        // The box is a margin larger than what is in it, so that the exact ray is inside it
+        // wherever a shape may be hit.
         constexpr double none[3] = {0, 0, 0};
         if (!meets_grid(grid.space, exact_, q_, none, t_enter, t_leave)) return false;
         return walk_grid(grid.space, exact_, t_enter, visit, past);
@@ -123,7 +123,7 @@ constexpr double enter_cost = 12.0;          ///< nominal ns to enter a grid
 constexpr double two_level_coarseness = 16;  ///< the top grid of two has so many fewer cells
 constexpr double merge_ratio = 1.5;          ///< Havran & Sixta 1999: f of their adaptive grids
 constexpr double most_per_shape = 32;        ///< references and cells of one grid, per shape in it
-constexpr size_t most_words = size_t(1) << 30;
+constexpr size_t most_words_per_shape = 64;  ///< of all cells and references, beyond the first 2^22
 
 /// A grid in the making.
 struct Draft {
@@ -131,7 +131,8 @@ struct Draft {
     Bounds3 content;                     ///< of what stands in it
     std::vector<uint32_t> first, items;  ///< per cell; items: shapes, or grid_flag | draft
     std::vector<std::pair<uint32_t, uint32_t>> children;  ///< cell, draft; by cell
-    double cost = 0;                     ///< of a line that meets the content
+    double cost = 0;                                      ///< of a line that meets the content
+    int levels = 0;                                       ///< of grids that may still stand inside
     std::span<const uint32_t> in(size_t cell) const {
         return {items.data() + first[cell], items.data() + first[cell + 1]};
     }
@@ -148,30 +149,36 @@ class NestedGridBuilder {
         if (shapes.empty()) return;
         for (const BuildReference& r : shapes) out_.box.extend(r.bounds);
         const size_t active = shapes.size();
+        most_words_ = (size_t(1) << 22) + most_words_per_shape * active;
         double cost_sum = 0;
         for (const BuildReference& r : shapes) cost_sum += r.cost;
 
         uint32_t root = 0;
         switch (p_.method) {
             case NestedGridMethod::two_level:
+                scene_of_its_own_ = std::max<size_t>(1024, active / 32);
                 root = add(make(all(shapes), nullptr, p_.density / two_level_coarseness));
-                refine({root}, 2);
+                refine({root}, 1);
                 break;
             case NestedGridMethod::recursive:
                 root = add(make(all(shapes), nullptr, p_.density));
-                refine({root}, p_.max_depth);
+                refine({root}, p_.max_depth - 1);
                 break;
-            case NestedGridMethod::adaptive: root = build_adaptive(std::move(shapes)); break;
-            case NestedGridMethod::hierarchy: root = build_hierarchy(shapes); break;
+            case NestedGridMethod::adaptive:
+                root = build_adaptive(std::move(shapes));
+                break;
+            case NestedGridMethod::hierarchy:
+                root = build_hierarchy(shapes);
+                break;
         }
         write(root, 0);
         out_.cost = drafts_[root].cost;
         out_.stats.N_IN = out_.grids.size();
         out_.stats.bytes = out_.grids.size() * sizeof(NestedGridHeader) +
                            (out_.cells.size() + out_.references.size()) * sizeof(uint32_t);
-        out_.mailbox = wants_mailbox(p_.mailbox, std::is_same_v<Set, ObjectSet>,
-                                     double(out_.stats.N_OIV), double(active),
-                                     cost_sum / double(active));
+        out_.mailbox =
+            wants_mailbox(p_.mailbox, std::is_same_v<Set, ObjectSet>, double(out_.stats.N_OIV),
+                          double(active), cost_sum / double(active));
     }
 
   private:
@@ -225,7 +232,8 @@ class NestedGridBuilder {
         while (n.maxCoeff() > 1) {
             const Vec3d cell = extent.cwiseQuotient(n.cast<double>());
             double sum = 0;
-            for (size_t i = 0; i < parts.size(); i += stride) sum += cells_spanned(parts[i].box, cell, flat);
+            for (size_t i = 0; i < parts.size(); i += stride)
+                sum += cells_spanned(parts[i].box, cell, flat);
             if (sum * double(stride) <= most && n.cast<double>().prod() <= most) break;
             n = (n.cast<double>() * 0.8).cast<int>().cwiseMax(1);
         }
@@ -233,8 +241,10 @@ class NestedGridBuilder {
     }
 
     /// @param region  what to clip the items to; null: nothing
-    /// @return        a grid without cells if nothing of the items is inside
-    Draft make(std::span<const uint32_t> items, const Bounds3* region, double density) const {
+    /// @param limit   gives up if a line through the region would cost more
+    /// @return        a grid without cells if it gave up or nothing of the items is inside
+    Draft make(std::span<const uint32_t> items, const Bounds3* region, double density,
+               double limit = std::numeric_limits<double>::infinity()) const {
         Draft draft;
         std::vector<Part> parts(items.size());
         const size_t grain = 2048;
@@ -251,9 +261,30 @@ class NestedGridBuilder {
         }
         draft.space = widened_space(draft.content, resolution_for(parts, draft.content, density),
                                     magnitude, out_.box.magnitude());
+        if (region &&
+            sampled_cost(parts, draft) > 1.2 * limit / probability(draft.content, *region))
+            return draft;
         sort_into_cells(parts, draft);
         draft.cost = flat_cost(draft);
         return draft;
+    }
+
+    /// What flat_cost will be, from a sample of many items: where shapes lie on top of each other,
+    /// no grid tells them apart, and none should be tried in full.
+    double sampled_cost(const std::vector<Part>& parts, const Draft& draft) const {
+        constexpr size_t many = 2048;
+        if (parts.size() < many) return 0;
+        const size_t stride = parts.size() / (many / 8);
+        std::vector<Part> sample;
+        for (size_t i = 0; i < parts.size(); i += stride) sample.push_back(parts[i]);
+        Draft trial;
+        trial.space = draft.space;
+        trial.content = draft.content;
+        sort_into_cells(sample, trial);
+        return flat_cost(trial) * double(parts.size()) / double(sample.size());
+    }
+    static double probability(const Bounds3& inner, const Bounds3& outer) {
+        return std::clamp(hit_probability(inner, outer), 0x1p-20, 1.0);
     }
 
     /// Counting sort by cell; items stay in their order within one.
@@ -304,59 +335,75 @@ class NestedGridBuilder {
         return cells * (cost_constants.cell + cost_of_cells / double(draft.space.cells()));
     }
 
-    /// The best grid for the content of one cell, or one without cells if a list costs less.
-    Draft split(const Draft& parent, uint32_t cell) const {
+    /// The best grid for the content of one cell, or one without cells if a list costs less. Of two
+    /// levels, a cell with a large share of all shapes (the teapot in the stadium) is a scene of
+    /// its own, and has two levels again.
+    Draft split(const Draft& parent, uint32_t cell, int level) const {
         const Vec3i& n = parent.space.resolution;
         const int x = int(cell % uint32_t(n[0])), y = int(cell / uint32_t(n[0]) % uint32_t(n[1]));
         const int z = int(cell / uint32_t(n[0]) / uint32_t(n[1]));
         const Bounds3 box = parent.space.cell_box(x, y, z);
         Bounds3 region = box;
         for (int a = 0; a < 3; ++a) {
-            region.lower[a] = std::nextafter(float(box.lower[a] - parent.space.margin[a]), -INFINITY);
-            region.upper[a] = std::nextafter(float(box.upper[a] + parent.space.margin[a]), INFINITY);
+            region.lower[a] =
+                std::nextafter(float(box.lower[a] - parent.space.margin[a]), -INFINITY);
+            region.upper[a] =
+                std::nextafter(float(box.upper[a] + parent.space.margin[a]), INFINITY);
         }
         const std::span<const uint32_t> items = parent.in(cell);
         double least = 0;
         for (const uint32_t item : items) least += item_cost(item);
-        // Two levels choose the resolution where it counts; recursion gets there level by level.
-        const bool choose = p_.method == NestedGridMethod::two_level;
         Draft best;
-        for (const double factor : {1.0, 4.0, 16.0}) {
-            Draft draft = make(items, &region, p_.density * factor);
-            if (draft.first.empty()) break;
-            const double cost =
-                std::min(1.0, hit_probability(draft.content, box)) * (enter_cost + draft.cost);
-            const bool better = cost < least && draft.items.size() <= most_per_shape * items.size();
-            if (better) {
-                least = cost;
-                best = std::move(draft);
-            }
-            if (!choose || !better) break;
+        const auto offer = [&](double density, int levels) {
+            Draft draft = make(items, &region, density, least);
+            if (draft.first.empty()) return false;
+            const double cost = probability(draft.content, box) * (enter_cost + draft.cost);
+            if (cost >= least || draft.items.size() > most_per_shape * items.size()) return false;
+            draft.levels = levels;
+            least = cost;
+            best = std::move(draft);
+            return true;
+        };
+        if (p_.method != NestedGridMethod::two_level) {
+            offer(p_.density, parent.levels - 1);
+        } else if (items.size() >= scene_of_its_own_ && level < p_.max_depth) {
+            offer(p_.density / two_level_coarseness, parent.levels);
+        } else {
+            // The last level chooses the resolution by its cost.
+            for (const double factor : {1.0, 4.0, 16.0})
+                if (!offer(p_.density * factor, parent.levels - 1)) break;
         }
         return best;
     }
 
-    /// Gives grids to crowded cells, level by level, until nothing is gained, the levels are used up or
-    /// memory would be.
+    /// Gives grids to crowded cells, level by level, until nothing is gained, the levels are used
+    /// up or memory would be.
     void refine(std::vector<uint32_t> open, int levels) {
-        size_t words = 0;
-        for (int level = 1; level < levels && !open.empty(); ++level) {
+        for (const uint32_t d : open) drafts_[d].levels = levels;
+        for (int level = 1; !open.empty(); ++level) {
             std::vector<std::pair<uint32_t, uint32_t>> tasks;
             for (const uint32_t d : open)
-                for (uint32_t c = 0; c + 1 < drafts_[d].first.size(); ++c)
+                for (uint32_t c = 0; drafts_[d].levels > 0 && c + 1 < drafts_[d].first.size(); ++c)
                     if (drafts_[d].in(c).size() > size_t(p_.max_per_cell)) tasks.push_back({d, c});
-            std::vector<Draft> found(tasks.size());
-            parallel_for(tasks.size(), 1, [&](size_t begin, size_t end) {
-                for (size_t t = begin; t < end; ++t)
-                    found[t] = split(drafts_[tasks[t].first], tasks[t].second);
-            });
             open.clear();
-            for (size_t t = 0; t < tasks.size(); ++t) {
-                if (found[t].first.empty()) continue;
-                words += found[t].first.size() + found[t].items.size();
-                if (words > most_words / 4) return;
-                open.push_back(add(std::move(found[t])));
-                drafts_[tasks[t].first].children.push_back({tasks[t].second, open.back()});
+            // In batches, so that what is tried and dropped does not fill the memory either.
+            constexpr size_t batch = 256;
+            for (size_t first = 0; first < tasks.size(); first += batch) {
+                std::vector<Draft> found(std::min(batch, tasks.size() - first));
+                parallel_for(found.size(), 1, [&](size_t begin, size_t end) {
+                    for (size_t t = begin; t < end; ++t) {
+                        const auto& [draft, cell] = tasks[first + t];
+                        found[t] = split(drafts_[draft], cell, level);
+                    }
+                });
+                for (size_t t = 0; t < found.size(); ++t) {
+                    if (found[t].first.empty()) continue;
+                    words_ += found[t].first.size() + found[t].items.size();
+                    if (words_ > most_words_) return;
+                    const auto& [draft, cell] = tasks[first + t];
+                    open.push_back(add(std::move(found[t])));
+                    drafts_[draft].children.push_back({cell, open.back()});
+                }
             }
         }
     }
@@ -371,11 +418,11 @@ class NestedGridBuilder {
             }
             grids.push_back(add(make(cluster.shapes, nullptr, p_.density)));
         }
-        // Where a root stands over them, it is refined like them: shapes without a cluster get grids of
-        // their own, which the source calls orphans' grids.
+        // Where a root stands over them, it is refined like them: shapes without a cluster get
+        // grids of their own, which the source calls orphans' grids.
         const uint32_t root = root_over(std::move(top), grids);
         if (grids.empty() || root != grids[0]) grids.push_back(root);
-        refine(grids, p_.max_depth);
+        refine(grids, p_.max_depth - 1);
         return root;
     }
 
@@ -471,7 +518,8 @@ class NestedGridBuilder {
     void patch_lists(uint32_t d, size_t first_cell, uint32_t depth) {
         for (size_t c = 0; c < drafts_[d].space.cells(); ++c) {
             const uint32_t code = out_.cells[first_cell + c];
-            if (code == 0 || (code & grid_flag) || !(out_.references[code - 1] & grid_flag)) continue;
+            if (code == 0 || (code & grid_flag) || !(out_.references[code - 1] & grid_flag))
+                continue;
             const size_t grids = code + (out_.references[code - 1] & ~grid_flag);
             for (size_t i = grids + 1; i <= grids + out_.references[grids]; ++i) {
                 const uint32_t draft = out_.references[i] & ~grid_flag;
@@ -486,6 +534,8 @@ class NestedGridBuilder {
     const NestedGridParameters& p_;
     NestedGrid<Set>& out_;
     std::vector<Draft> drafts_;
+    size_t words_ = 0, most_words_ = 0;     ///< of cells and references inside others
+    size_t scene_of_its_own_ = 0;           ///< shapes that make a cell one, for two levels
     std::map<uint32_t, uint32_t> written_;  ///< draft → grid, of those in lists
 };
 
@@ -513,8 +563,7 @@ void NestedGrid<Set>::walk(const BoxVisitor& visit) const {
             for (int y = 0; y < grid.space.resolution[1]; ++y)
                 for (int x = 0; x < grid.space.resolution[0]; ++x, ++code) {
                     if (*code & nested_cell::grid_flag) continue;
-                    const uint32_t n =
-                        *code ? references[*code - 1] & ~nested_cell::grid_flag : 0;
+                    const uint32_t n = *code ? references[*code - 1] & ~nested_cell::grid_flag : 0;
                     visit(inside(grid.space.cell_box(x, y, z)), grid.depth + 1, true, n);
                 }
     }

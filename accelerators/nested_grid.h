@@ -11,7 +11,8 @@ namespace crofton {
 /// Where grids stand inside grids.
 enum class NestedGridMethod {
     two_level,  ///< a coarse grid; one more level in the cells where the cost says so (Ize 2007)
-    recursive,  ///< every cell with too many shapes is split, again and again (Jevans & Wyvill 1989)
+    recursive,  ///< every cell with too many shapes is split, again and again (Jevans & Wyvill
+                ///< 1989)
     adaptive,   ///< recursive grids around merged clusters (Klimaszewski & Sederberg 1997)
     hierarchy,  ///< shapes by size, a grid for each cluster of a size (HUG: Cazals et al. 1995)
 };
@@ -19,7 +20,7 @@ enum class NestedGridMethod {
 struct NestedGridParameters {
     NestedGridMethod method = NestedGridMethod::two_level;
     ResolutionRule resolution = ResolutionRule::klimaszewski;
-    double density = 1.0;
+    double density = 0.5;
     int max_per_cell = 8;
     int max_depth = 4;
     MailboxMode mailbox = MailboxMode::automatic;

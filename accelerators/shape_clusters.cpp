@@ -8,8 +8,9 @@
 namespace crofton {
 namespace {
 
-/// Whether each node's shapes form one cluster; children come after their parents in `order`. A node
-/// takes in all clusters below it, so that one stray pair does not keep its surroundings apart.
+/// Whether each node's shapes form one cluster; children come after their parents in `order`. A
+/// node takes in all clusters below it, so that one stray pair does not keep its surroundings
+/// apart.
 std::vector<uint8_t> merged_nodes(const BinaryTree& tree, const std::vector<uint32_t>& order,
                                   double merge_ratio) {
     std::vector<uint8_t> merged(tree.nodes.size(), 0);
@@ -117,13 +118,14 @@ std::vector<ShapeCluster> clusters_by_size(const std::vector<BuildReference>& re
     Bounds3 all;
     for (const BuildReference& r : references) all.extend(r.bounds);
     // Buckets are no finer than 2^-20 of the scene, so that three indices fit a key.
-    const double scene = std::max<double>((all.upper.cast<double>() - all.lower.cast<double>()).maxCoeff(),
-                                          std::numeric_limits<float>::min());
+    const double scene =
+        std::max<double>((all.upper.cast<double>() - all.lower.cast<double>()).maxCoeff(),
+                         std::numeric_limits<float>::min());
     std::vector<double> size(references.size());
     for (size_t i = 0; i < references.size(); ++i) {
         const Bounds3& b = references[i].bounds;
-        size[i] = std::max((b.upper.cast<double>() - b.lower.cast<double>()).maxCoeff(),
-                           0x1p-20 * scene);
+        size[i] =
+            std::max((b.upper.cast<double>() - b.lower.cast<double>()).maxCoeff(), 0x1p-20 * scene);
     }
     std::vector<double> sorted = size;
     std::sort(sorted.begin(), sorted.end());

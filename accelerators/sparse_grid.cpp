@@ -53,8 +53,13 @@ class SparseGridWalk {
   public:
     SparseGridWalk(const GridSpace& space, const uint32_t* references, const LocalRay& ray,
                    const ExactRay& exact, RayQuery& q, C& counters, Test& test)
-        : space_(space), references_(references), ray_(ray), exact_(exact), q_(q),
-          counters_(counters), test_(test) {}
+        : space_(space),
+          references_(references),
+          ray_(ray),
+          exact_(exact),
+          q_(q),
+          counters_(counters),
+          test_(test) {}
 
     bool run(const UpperNode& root) {
         bool thick = false;
@@ -146,9 +151,8 @@ class SparseGridWalk {
             blocks.lower[a] = space_.plane(a, base[a]);
             blocks.cell[a] = space_.cell[a] * Shape::span;
             blocks.inverse_cell[a] = 1 / blocks.cell[a];
-            blocks.resolution[a] =
-                std::min(Shape::dim, (space_.resolution[a] - base[a] + Shape::span - 1) >>
-                                         Shape::log2_span);
+            blocks.resolution[a] = std::min(
+                Shape::dim, (space_.resolution[a] - base[a] + Shape::span - 1) >> Shape::log2_span);
             blocks.box.lower[a] = float(blocks.lower[a]);
             blocks.box.upper[a] = float(blocks.plane(a, blocks.resolution[a]));
         }
@@ -222,8 +226,8 @@ struct SparseGridTraversal {
                             C& counters, const Test& test) {
         const ExactRay exact(ray, q);
         for (const SparseGridClass& one : grid.classes) {
-            SparseGridWalk<Q, const Test, Set, C> walk(one.space, grid.references.data(), ray, exact,
-                                                       q, counters, test);
+            SparseGridWalk<Q, const Test, Set, C> walk(one.space, grid.references.data(), ray,
+                                                       exact, q, counters, test);
             if (walk.run(upper_node(*one.voxels))) return true;
         }
         return false;
@@ -303,7 +307,8 @@ class SparseGridBuilder {
         }
         const double active = double(shapes.size());
         for (int left = p_.size_classes; !shapes.empty(); --left) {
-            std::vector<BuildReference> large = left > 1 ? split_off_large(shapes) : std::vector<BuildReference>{};
+            std::vector<BuildReference> large =
+                left > 1 ? split_off_large(shapes) : std::vector<BuildReference>{};
             add_class(shapes);
             shapes = std::move(large);
         }
@@ -437,7 +442,8 @@ class SparseGridBuilder {
                size_t voxels, size_t references, double cost) {
         const Vec3i n = one.space.resolution;
         const Vec3i blocks = (n.array() + 127) / 128;
-        const size_t empty = size_t(blocks.prod()) - lower + lower * 4096 - leaves + leaves * 512 - voxels;
+        const size_t empty =
+            size_t(blocks.prod()) - lower + lower * 4096 - leaves + leaves * 512 - voxels;
         out_.stats.N_IN += 1 + lower + leaves;
         out_.stats.N_V += voxels + empty;
         out_.stats.N_EV += empty;
@@ -462,7 +468,8 @@ class SparseGridBuilder {
     SparseGrid<Set>& out_;
 };
 
-/// Calls visit(block's first voxel, block's edge in voxels, child or null, offset) for blocks in use.
+/// Calls visit(block's first voxel, block's edge in voxels, child or null, offset) for blocks in
+/// use.
 template <class Node, class Visit>
 void for_each_child(const Node& node, const Vec3i& base, Visit&& visit) {
     using Shape = NodeShape<Node>;
@@ -497,17 +504,17 @@ void SparseGrid<Set>::walk(const BoxVisitor& visit) const {
             return b;
         };
         visit(box_of(Vec3i::Zero(), 4096), 0, false, 0);
-        for_each_child(upper_node(*one.voxels), Vec3i::Zero(), [&](const LowerNode& lower,
-                                                                   const Vec3i& at) {
-            visit(box_of(at, 128), 1, false, 0);
-            for_each_child(lower, at, [&](const LeafNode& leaf, const Vec3i& corner) {
-                visit(box_of(corner, 8), 2, false, 0);
-                for (uint32_t i = 0; i < 512; ++i)
-                    if (leaf.valueMask().isOn(i))
-                        visit(box_of(corner + Vec3i(i >> 6, (i >> 3) & 7, i & 7), 1), 3, true,
-                              references[size_t(leaf.getValue(i)) - 1]);
+        for_each_child(
+            upper_node(*one.voxels), Vec3i::Zero(), [&](const LowerNode& lower, const Vec3i& at) {
+                visit(box_of(at, 128), 1, false, 0);
+                for_each_child(lower, at, [&](const LeafNode& leaf, const Vec3i& corner) {
+                    visit(box_of(corner, 8), 2, false, 0);
+                    for (uint32_t i = 0; i < 512; ++i)
+                        if (leaf.valueMask().isOn(i))
+                            visit(box_of(corner + Vec3i(i >> 6, (i >> 3) & 7, i & 7), 1), 3, true,
+                                  references[size_t(leaf.getValue(i)) - 1]);
+                });
             });
-        });
     }
 }
 

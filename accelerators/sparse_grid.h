@@ -17,8 +17,10 @@ struct SparseGridParameters {
 
     template <class V>
     void fields(V& v) {
-        v.real("density", density, 1e-2, 1e2, "voxels per median extent of the shapes, along an axis");
-        v.integer("max_resolution", max_resolution, 1, 4096, "voxels along the longest axis at most");
+        v.real("density", density, 1e-2, 1e2,
+               "voxels per median extent of the shapes, along an axis");
+        v.integer("max_resolution", max_resolution, 1, 4096,
+                  "voxels along the longest axis at most");
         v.integer("size_classes", size_classes, 1, 8,
                   "grids at most, each for shapes of a size, where one would be too large");
         v.choice("mailbox", mailbox, {"off", "on", "auto"},

@@ -30,7 +30,7 @@ struct ThickRay {
     /// @param magnitude  largest absolute coordinate of `box`
     ThickRay(const Bounds3& box, float magnitude, const LocalRay& ray, const RayQuery& q) {
         // What is accepted at t_min may be met as much before it as t can be wrong.
-        t_enter = q.t_min - std::abs(q.t_min) * cull_slack;
+        t_enter = q.t_low;
         t_leave = q.t_cull;
         for (int a = 0; a < 3; ++a) {
             const float r = ray.rcp[a];

@@ -16,28 +16,24 @@ class EightBoxTest {
     using D = hn::CappedTag<float, 8>;
     static constexpr size_t N = hn::MaxLanes(D());
 
-    explicit EightBoxTest(const LocalRay& ray) {
-        for (int a = 0; a < 3; ++a) {
-            near_origin_[a] = ray.near_origin[a], far_origin_[a] = ray.far_origin[a];
-            rcp_[a] = ray.rcp[a], far_rcp_[a] = ray.far_rcp[a];
-            down_[a] = std::signbit(ray.rcp[a]) ? 1 : 0;
-        }
+    explicit EightBoxTest(const LocalRay& ray) : ray_(ray) {
+        for (int a = 0; a < 3; ++a) down_[a] = std::signbit(ray.rcp[a]) ? 1 : 0;
     }
     /// @param t_near  8 floats: where the ray enters each child
-    /// @return bit i: child i may be hit within [t_min, t_cull]
-    HWY_INLINE uint32_t test(const WideNode& node, float t_min, float t_cull,
+    /// @return bit i: child i may be hit within [t_low, t_cull]
+    HWY_INLINE uint32_t test(const WideNode& node, float t_low, float t_cull,
                              float* HWY_RESTRICT t_near) const {
         const D d;
         uint32_t hits = 0;
         for (size_t i = 0; i < 8; i += N) {
-            auto enter = hn::Set(d, t_min), leave = hn::Set(d, t_cull);
+            auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
             for (int a = 0; a < 3; ++a) {
                 const auto lo = hn::Load(d, node.planes[down_[a]][a] + i);
                 const auto hi = hn::Load(d, node.planes[down_[a] ^ 1][a] + i);
-                enter = hn::Max(
-                    enter, hn::Mul(hn::Sub(lo, hn::Set(d, near_origin_[a])), hn::Set(d, rcp_[a])));
-                leave = hn::Min(leave, hn::Mul(hn::Sub(hi, hn::Set(d, far_origin_[a])),
-                                               hn::Set(d, far_rcp_[a])));
+                enter = hn::Max(enter, hn::Mul(hn::Sub(lo, hn::Set(d, ray_.near_origin[a])),
+                                               hn::Set(d, ray_.rcp[a])));
+                leave = hn::Min(leave, hn::Mul(hn::Sub(hi, hn::Set(d, ray_.far_origin[a])),
+                                               hn::Set(d, ray_.far_rcp[a])));
             }
             hn::Store(enter, d, t_near + i);
             hits |= bits(hn::Le(enter, leave)) << i;
@@ -46,24 +42,24 @@ class EightBoxTest {
     }
     /// One multiplication and addition a plane: the node's grid is moved to the ray first. The
     /// error of that, some u of the node's extent, is what `quantise` leaves room for.
-    HWY_INLINE uint32_t test(const QuantisedNode& node, float t_min, float t_cull,
+    HWY_INLINE uint32_t test(const QuantisedNode& node, float t_low, float t_cull,
                              float* HWY_RESTRICT t_near) const {
         const D d;
         const hn::Rebind<uint8_t, D> d8;
         const hn::Rebind<int32_t, D> d32;
         uint32_t hits = 0;
         for (size_t i = 0; i < 8; i += N) {
-            auto enter = hn::Set(d, t_min), leave = hn::Set(d, t_cull);
+            auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
             for (int a = 0; a < 3; ++a) {
                 const auto lo = hn::LoadU(d8, node.planes[down_[a]][a] + i);
                 const auto hi = hn::LoadU(d8, node.planes[down_[a] ^ 1][a] + i);
-                const float near_base = (node.origin[a] - near_origin_[a]) * rcp_[a];
-                const float far_base = (node.origin[a] - far_origin_[a]) * far_rcp_[a];
-                enter = hn::Max(
-                    enter, hn::MulAdd(hn::ConvertTo(d, hn::PromoteTo(d32, lo)),
-                                      hn::Set(d, node.scale[a] * rcp_[a]), hn::Set(d, near_base)));
+                const float near_base = (node.origin[a] - ray_.near_origin[a]) * ray_.rcp[a];
+                const float far_base = (node.origin[a] - ray_.far_origin[a]) * ray_.far_rcp[a];
+                enter = hn::Max(enter, hn::MulAdd(hn::ConvertTo(d, hn::PromoteTo(d32, lo)),
+                                                  hn::Set(d, node.scale[a] * ray_.rcp[a]),
+                                                  hn::Set(d, near_base)));
                 leave = hn::Min(leave, hn::MulAdd(hn::ConvertTo(d, hn::PromoteTo(d32, hi)),
-                                                  hn::Set(d, node.scale[a] * far_rcp_[a]),
+                                                  hn::Set(d, node.scale[a] * ray_.far_rcp[a]),
                                                   hn::Set(d, far_base)));
             }
             hn::Store(enter, d, t_near + i);
@@ -79,7 +75,7 @@ class EightBoxTest {
         hn::StoreMaskBits(D(), mask, b);
         return b[0];
     }
-    float near_origin_[3], far_origin_[3], rcp_[3], far_rcp_[3];
+    const LocalRay& ray_;
     uint32_t down_[3];
 };
 
@@ -121,13 +117,13 @@ struct WideBvhTraversal {
         Entry stack[WideBvh<Set>::max_depth * (WideBvh<Set>::width - 1) + 1];
         Entry* top = stack;
         uint32_t current = 0;
-        const float t_min = q.t_min;
+        const float t_low = q.t_low;
         while (true) {
             while (!WideChild::is_leaf(current)) {
                 const Node& node = nodes[current];
                 counters.step();
                 alignas(32) float t[8];
-                uint32_t hits = boxes.test(node, t_min, q.t_cull, t);
+                uint32_t hits = boxes.test(node, t_low, q.t_cull, t);
                 if (hits == 0) goto pop;
                 const uint32_t first = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
                 hits &= hits - 1;

@@ -26,7 +26,7 @@ void scale_extreme(const Ray& ray, float largest, RayQuery& query, float& scale)
     const int e = std::ilogb(largest);
     const double down = std::ldexp(1.0, -e), up = std::ldexp(1.0, e);
     for (int a = 0; a < 3; ++a) query.direction[a] = float(ray.direction[a] * down);
-    query.t_min = float(ray.t_min * up);
+    query.set_min(float(ray.t_min * up));
     query.set_best(float(ray.t_max * up));
     scale = float(down);
 }
@@ -77,7 +77,7 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
     if (HWY_LIKELY(exponent >= -126 && exponent <= 126)) {
         const float down = pow2(-exponent), up = pow2(exponent);
         hn::StoreU(hn::Mul(d, hn::Set(f4, down)), f4, q.direction);
-        q.t_min = ray.t_min * up;
+        q.set_min(ray.t_min * up);
         q.set_best(ray.t_max * up);
         scale = down;
     } else {

@@ -58,8 +58,9 @@ struct RayQuery {
     float origin[4];
     float direction[4];
     float t_min;
+    float t_low;   ///< t_min less cull_slack: what ends before it cannot matter
     float t_best;  ///< of the closest hit so far, or t_max
-    float t_cull;  ///< t_best·(1 + cull_slack): what begins beyond it cannot matter
+    float t_cull;  ///< t_best and cull_slack: what begins beyond it cannot matter
     /// Shear of the watertight test (Woop, Benthin, Wald 2013): axis order and factors.
     int kx, ky, kz;
     float shear_x, shear_y, shear_z;
@@ -73,6 +74,10 @@ struct RayQuery {
     void set_best(float t) {
         t_best = t;
         t_cull = t + std::abs(t) * cull_slack;
+    }
+    void set_min(float t) {
+        t_min = t;
+        t_low = t - std::abs(t) * cull_slack;
     }
     /// Ids of the current hit.
     Hit ids() const;

@@ -106,9 +106,8 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
         const auto sz = hn::Set(d, q.shear_z);
         const auto za = hn::Mul(c.z[0], sz), zb = hn::Mul(c.z[1], sz), zc = hn::Mul(c.z[2], sz);
         const auto z_low = hn::Min(hn::Min(za, zb), zc), z_high = hn::Max(hn::Max(za, zb), zc);
-        const float t_min = q.t_min - std::abs(q.t_min) * cull_slack;
         hit = hn::And(
-            hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)), hn::Ge(z_high, hn::Set(d, t_min))));
+            hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)), hn::Ge(z_high, hn::Set(d, q.t_low))));
         if (hn::AllFalse(d, hit)) continue;
         const auto wb = hn::Mul(b, rdet), wc = hn::Mul(e, rdet);
         auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)), hn::Mul(wc, zc));
@@ -242,10 +241,10 @@ HWY_INLINE bool test_references(const PolygonSet& set, const uint32_t* reference
     return test_shapes<Q>(set, references, count, ray, q, counters);
 }
 
-/// Conservative box test. @return whether the thick ray may meet `b` within [t_min, t_cull]
+/// Conservative box test. @return whether the thick ray may meet `b` within [t_low, t_cull]
 HWY_INLINE bool meets_box(const Bounds3& b, const LocalRay& ray, const RayQuery& q, float& t_near,
                           float& t_far) {
-    float near = q.t_min, far = q.t_cull;
+    float near = q.t_low, far = q.t_cull;
     for (int a = 0; a < 3; ++a) {
         const bool down = std::signbit(ray.rcp[a]);
         const float lo = down ? b.upper[a] : b.lower[a], hi = down ? b.lower[a] : b.upper[a];
