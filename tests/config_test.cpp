@@ -202,6 +202,16 @@ TEST_CASE("config: the configs that ship are valid") {
     const std::string folder = std::string(CROFTON_SOURCE_DIR) + "/experiments/configs";
     for (const auto& entry : std::filesystem::directory_iterator(folder)) {
         INFO(entry.path().string());
-        CHECK_NOTHROW(load_experiments(entry.path().string(), {}));
+        try {
+            CHECK_FALSE(load_experiments(entry.path().string(), {}).experiments.empty());
+        } catch (const InputError& e) {
+            // Some experiments are about scenes that lie beside the repository, not in it.
+            const bool shared = std::filesystem::exists(CROFTON_SOURCE_DIR "/../shared");
+            const std::string what = e.what();
+            if (!shared && what.find("/shared/scenes/") != std::string::npos)
+                WARN("skipped: ../shared is absent");
+            else
+                FAIL_CHECK(what);
+        }
     }
 }
