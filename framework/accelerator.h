@@ -21,7 +21,8 @@ namespace HWY_NAMESPACE {
 ///   template <Query, class Set, class Counters>
 ///   static bool run(structure, set, ray, query, counters)   // true: an `any` query is answered
 /// Each override holds its own specialised copy of that traversal, so that over triangles a ray
-/// makes no indirect call below the virtual one.
+/// makes no indirect call below the virtual one. Counting is never timed and counts the same on
+/// every target, so counted traversals exist for the baseline only (`run_counted`).
 template <class Structure, class Traversal, class Set>
 class AcceleratedObject final : public Primitive {
   public:
@@ -43,10 +44,10 @@ class AcceleratedObject final : public Primitive {
         return Traversal::template run<Query::any>(structure_, *set_, ray, query, none);
     }
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
-        Traversal::template run<Query::closest>(structure_, *set_, ray, query, counters);
+        run_counted(Query::closest, structure_, *set_, ray, query, counters);
     }
     bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
-        return Traversal::template run<Query::any>(structure_, *set_, ray, query, counters);
+        return run_counted(Query::any, structure_, *set_, ray, query, counters);
     }
     double expected_cost() const override { return expected_cost_; }
     StructureStatistics statistics() const override {
@@ -82,8 +83,28 @@ std::unique_ptr<Primitive> build_object(const PrimitiveSet& any_set, const Param
 }  // namespace crofton
 HWY_AFTER_NAMESPACE();
 
+/// The counted traversal of one structure, defined in the last pass, which is the baseline's.
+#undef CROFTON_COUNTED_KERNEL
+#if HWY_TARGET == HWY_STATIC_TARGET
+#define CROFTON_COUNTED_KERNEL(Structure, Traversal)                                       \
+    {                                                                                      \
+        using Kernel = HWY_NAMESPACE::Traversal;                                           \
+        if (kind == Query::any)                                                            \
+            return Kernel::template run<Query::any>(structure, set, ray, query, counters); \
+        return Kernel::template run<Query::closest>(structure, set, ray, query, counters); \
+    }
+#else
+#define CROFTON_COUNTED_KERNEL(Structure, Traversal) ;
+#endif
+
 /// In an accelerator's source, for every target: instantiates its kernels over every set.
 #define CROFTON_ACCELERATOR_KERNELS(Structure, Traversal, Parameters)                            \
+    namespace crofton {                                                                          \
+    template <class Set>                                                                         \
+    bool run_counted(Query kind, const Structure<Set>& structure, const Set& set,                \
+                     const LocalRay& ray, RayQuery& query, Counters& counters)                   \
+        CROFTON_COUNTED_KERNEL(Structure, Traversal)                                             \
+    }                                                                                            \
     HWY_BEFORE_NAMESPACE();                                                                      \
     namespace crofton {                                                                          \
     namespace HWY_NAMESPACE {                                                                    \

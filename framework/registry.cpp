@@ -112,7 +112,7 @@ bool register_accelerator(AcceleratorInfo info) {
 std::vector<std::string> available_isas() {
     std::vector<std::string> names;
     for (const Isa& isa : isas)
-        if (hwy::SupportedTargets() & isa.target) names.push_back(isa.name);
+        if (hwy::SupportedTargets() & HWY_TARGETS & isa.target) names.push_back(isa.name);
     return names;
 }
 

@@ -57,7 +57,7 @@ bool register_accelerator(AcceleratorInfo info);
 
 /// Name of the instruction set that kernels built from now on use: "sse4", "avx2" or "avx512".
 std::string active_isa();
-/// Instruction sets that this machine can run, widest last.
+/// Instruction sets that kernels were compiled for and this machine can run, widest last.
 std::vector<std::string> available_isas();
 /// Restricts kernels built from now on. @throws InputError  unknown or not available here
 void set_isa(const std::string& name);

@@ -154,11 +154,19 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
     return false;
 }
 
+/// Under a map, out of line: a second copy of the test in every traversal would only push the
+/// common one out of the instruction cache.
+template <Query Q, int W>
+HWY_NOINLINE bool test_framed_block(const TriangleBlock<W>& block, const LocalRay& ray, RayQuery& q,
+                                    const IdTable& ids) {
+    return test_block<Q, true>(block, ray, q, ids);
+}
+
 template <Query Q, int W>
 HWY_INLINE bool test_blocks(const TriangleSet& set, const TriangleBlock<W>* block, uint32_t count,
                             const LocalRay& ray, RayQuery& q) {
     for (uint32_t i = 0; i < count; i += W, ++block) {
-        const bool found = ray.frame ? test_block<Q, true>(*block, ray, q, set.ids())
+        const bool found = ray.frame ? test_framed_block<Q>(*block, ray, q, set.ids())
                                      : test_block<Q, false>(*block, ray, q, set.ids());
         if (Q == Query::any && found) return true;
     }
