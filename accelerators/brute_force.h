@@ -23,6 +23,10 @@ struct BruteForce {
     double cost = 0;
 
     static BruteForce build(const Set& set, const BruteForceParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(leaves, count, box, cost);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const;

@@ -45,6 +45,10 @@ struct Bvh {
     StructureStatistics stats;
 
     static Bvh build(const Set& set, const BvhParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(nodes, leaves, box, cost, stats);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

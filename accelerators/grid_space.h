@@ -39,6 +39,10 @@ struct GridSpace {
             margin[a] = std::max(0x1p-12 * cell[a], 0x1p-18 * magnitude);
         }
     }
+    template <class A>
+    void archive(A& a) {
+        a(box, resolution, lower, cell, inverse_cell, margin, magnitude);
+    }
     size_t cells() const {
         return size_t(resolution[0]) * size_t(resolution[1]) * size_t(resolution[2]);
     }

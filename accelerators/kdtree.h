@@ -47,6 +47,10 @@ struct KdTree {
     StructureStatistics stats;
 
     static KdTree build(const Set& set, const KdTreeParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(nodes, references, box, magnitude, mailbox, cost, stats);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

@@ -46,6 +46,11 @@ struct NestedGridHeader {
     GridSpace space;
     uint32_t first_cell = 0;
     uint32_t depth = 0;  ///< 0: the root
+
+    template <class A>
+    void archive(A& a) {
+        a(space, first_cell, depth);
+    }
 };
 
 /// A code of a cell, in one word:
@@ -73,6 +78,10 @@ struct NestedGrid {
     StructureStatistics stats;
 
     static NestedGrid build(const Set& set, const NestedGridParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(grids, cells, references, mailbox, box, cost, stats);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

@@ -81,6 +81,10 @@ struct Octree {
     StructureStatistics stats;
 
     static Octree build(const Set& set, const OctreeParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(nodes, references, box, magnitude, mailbox, cost, stats);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

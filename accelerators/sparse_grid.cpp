@@ -255,7 +255,24 @@ namespace crofton {
 struct SparseVoxels {
     nanovdb::GridHandle<nanovdb::HostBuffer> handle;
     const UpperNode* root;
+
+    explicit SparseVoxels(nanovdb::GridHandle<nanovdb::HostBuffer> h) : handle(std::move(h)) {
+        root = handle.grid<int32_t>()->tree().template getFirstNode<2>();
+    }
 };
+void archive_voxels(ArchiveWriter& out, std::shared_ptr<const SparseVoxels>& voxels) {
+    out(uint64_t(voxels->handle.size()));
+    out.raw(voxels->handle.data(), voxels->handle.size());
+}
+void archive_voxels(ArchiveReader& in, std::shared_ptr<const SparseVoxels>& voxels) {
+    uint64_t size;
+    in(size);
+    auto buffer = nanovdb::HostBuffer::create(size);
+    in.raw(buffer.data(), size);
+    nanovdb::GridHandle<nanovdb::HostBuffer> handle(std::move(buffer));
+    if (!handle.grid<int32_t>()) in.refuse("holds no grid of voxels where there should be one");
+    voxels = std::make_shared<const SparseVoxels>(std::move(handle));
+}
 const UpperNode& upper_node(const SparseVoxels& voxels) { return *voxels.root; }
 
 namespace {
@@ -421,11 +438,9 @@ class SparseGridBuilder {
             }
             ++voxels;
         }
-        auto nano = std::make_shared<SparseVoxels>();
-        nano->handle = nanovdb::openToNanoVDB(*tree, nanovdb::StatsMode::Disable,
-                                              nanovdb::ChecksumMode::Disable);
+        auto nano = std::make_shared<const SparseVoxels>(nanovdb::openToNanoVDB(
+            *tree, nanovdb::StatsMode::Disable, nanovdb::ChecksumMode::Disable));
         const auto& nano_tree = nano->handle.template grid<int32_t>()->tree();
-        nano->root = nano_tree.template getFirstNode<2>();
         count(one, content, nano_tree.nodeCount(1), nano_tree.nodeCount(0), voxels, entries.size(),
               cost);
         out_.stats.bytes += nano->handle.size();

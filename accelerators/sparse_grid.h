@@ -5,6 +5,7 @@
 #include "accelerators/grid_space.h"
 #include "accelerators/mailbox.h"
 #include "framework/aligned.h"
+#include "framework/archive.h"
 #include "framework/primitive.h"
 
 namespace crofton {
@@ -31,10 +32,19 @@ struct SparseGridParameters {
 /// A NanoVDB grid of list ids; only sparse_grid.cpp knows what is in it.
 struct SparseVoxels;
 
+void archive_voxels(ArchiveWriter& out, std::shared_ptr<const SparseVoxels>& voxels);
+void archive_voxels(ArchiveReader& in, std::shared_ptr<const SparseVoxels>& voxels);
+
 /// The grid of one class of sizes.
 struct SparseGridClass {
     GridSpace space;  ///< of voxels
     std::shared_ptr<const SparseVoxels> voxels;
+
+    template <class A>
+    void archive(A& a) {
+        a(space);
+        archive_voxels(a, voxels);
+    }
 };
 
 /// Sparse grids of voxels, in the topology of OpenVDB (Museth 2013): 32³ nodes of 16³ nodes of 8³
@@ -52,6 +62,10 @@ struct SparseGrid {
     StructureStatistics stats;
 
     static SparseGrid build(const Set& set, const SparseGridParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(classes, references, mailbox, box, cost, stats);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

@@ -54,6 +54,10 @@ struct UniformGrid {
     StructureStatistics stats;
 
     static UniformGrid build(const Set& set, const UniformGridParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(space, mailbox, first, references, longest, cost, stats);
+    }
     const Bounds3& bounds() const { return space.box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

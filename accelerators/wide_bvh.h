@@ -82,6 +82,10 @@ struct WideBvh {
     StructureStatistics stats;
 
     static WideBvh build(const Set& set, const WideBvhParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(format, nodes, quantised, leaves, box, cost, stats);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

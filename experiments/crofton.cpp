@@ -3,12 +3,14 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdio>
+#include <filesystem>
 #include <iostream>
 #include <memory>
 
 #include "experiments/camera.h"
 #include "experiments/catalog.h"
 #include "experiments/experiment.h"
+#include "experiments/export.h"
 #include "experiments/image.h"
 #include "experiments/inspect.h"
 #include "experiments/progress.h"
@@ -17,6 +19,7 @@
 #include "experiments/results.h"
 #include "experiments/runner.h"
 #include "experiments/sweep.h"
+#include "framework/archive.h"
 #include "framework/error.h"
 
 namespace crofton {
@@ -30,17 +33,30 @@ struct RunArguments {
     bool quiet = false;
 };
 
-struct InspectArguments {
-    std::string scene, accelerator, config;
+/// A scene with one accelerator for everything, or with what a config's first variant says.
+struct StructureArguments {
+    std::string scene, accelerator, config, structure;
+    std::vector<std::string> settings;
+};
+
+struct InspectArguments : StructureArguments {
     InspectOptions options;
 };
 
-struct RenderArguments {
-    std::string scene, out = "out.png", shade = "normal", accelerator = "bvh";
+struct BuildArguments : StructureArguments {
+    std::string out;
+};
+
+struct ExportArguments : StructureArguments {
+    std::string out = "boxes.glb";
+    ExportOptions options;
+};
+
+struct RenderArguments : StructureArguments {
+    std::string out = "out.png", shade = "normal";
     std::string eye, at, up;
     double fov = 0;
     int width = 640, height = 480;
-    std::vector<std::string> settings;
 };
 
 std::map<std::string, uint64_t> seeds_of(const ExperimentFile& file) {
@@ -76,48 +92,24 @@ int run(const RunArguments& arguments) {
     return output.mismatches.empty() ? 0 : check_failed;
 }
 
-SceneSpec scene_spec(const std::string& name) {
-    SceneSpec spec;
-    spec.base = scene_source(name);
-    return spec;
-}
-
-int inspect(const InspectArguments& arguments) {
-    const Scene scene = make_scene(scene_spec(arguments.scene));
-    std::unique_ptr<Assembly> assembly;
-    if (!arguments.config.empty()) {
-        const ExperimentFile file = load_experiments(arguments.config, {});
-        const std::vector<Variant>& variants = file.experiments.front().variants;
-        assembly = std::make_unique<Assembly>(assemble(scene, variants.front().plan));
-    } else if (!arguments.accelerator.empty()) {
-        assembly = std::make_unique<Assembly>(assemble(scene, uniform_plan(arguments.accelerator)));
-    }
-    fmt::print("{}", inspect_text(scene, assembly.get(), arguments.options));
-    return 0;
-}
-
 /// "x,y,z" as a TOML array.
 ConfigValue vector_value(const std::string& text, const std::string& option) {
     return parse_config_value("[" + text + "]", option);
 }
 
-/// What `render` does, as a config: a key without dots is a parameter of the accelerator.
-ConfigValue render_config(const RenderArguments& arguments) {
-    const auto text = [](const std::string& t) { return ConfigValue::of(t, "crofton render"); };
+/// What the arguments say, as a config: a key without dots is a parameter of the accelerator.
+ConfigValue structure_config(const StructureArguments& arguments) {
+    const auto text = [](const std::string& t) { return ConfigValue::of(t, "command line"); };
     ConfigValue root;
-    root.place = "crofton render";
+    root.place = "command line";
     ConfigValue& scene = root.set("scene", ConfigValue{});
     const SceneSource source = scene_source(arguments.scene);
     ConfigValue& name = source.file.empty() ? scene.set("procedural", text(source.procedural))
                                             : scene.set("file", text(source.file));
     name.from_command_line = true;
-    ConfigValue& camera = root.set("camera", ConfigValue{});
-    if (!arguments.eye.empty()) camera.set("eye", vector_value(arguments.eye, "--eye"));
-    if (!arguments.at.empty()) camera.set("at", vector_value(arguments.at, "--at"));
-    if (!arguments.up.empty()) camera.set("up", vector_value(arguments.up, "--up"));
-    if (arguments.fov != 0) camera.set("fov", ConfigValue::of(arguments.fov, "--fov"));
+    root.set("camera", ConfigValue{});
     ConfigValue& accelerator = root.set("accelerator", ConfigValue{}).set("main", ConfigValue{});
-    accelerator.set("type", text(arguments.accelerator));
+    accelerator.set("type", text(arguments.accelerator.empty() ? "bvh" : arguments.accelerator));
     ConfigValue& assign = root.set("assign", ConfigValue{});
     assign.set("top", text("main"));
     assign.set("default", text("main"));
@@ -129,6 +121,65 @@ ConfigValue render_config(const RenderArguments& arguments) {
     return root;
 }
 
+AssemblyPlan plan_of(const StructureArguments& arguments, const Experiment& experiment) {
+    if (arguments.config.empty()) return experiment.variants.front().plan;
+    return load_experiments(arguments.config, {}).experiments.front().variants.front().plan;
+}
+
+/// Builds, or loads what was saved for this scene.
+Assembly assemble(const StructureArguments& arguments, const Experiment& experiment,
+                  const Scene& scene) {
+    if (arguments.structure.empty()) return assemble(scene, plan_of(arguments, experiment));
+    SavedStructure saved = load_structure(arguments.structure);
+    if (saved.subject != fingerprint(scene))
+        throw InputError(arguments.structure + ": was saved for another scene than '" +
+                         arguments.scene + "'");
+    Assembly assembly;
+    assembly.root = std::move(saved.root);
+    return assembly;
+}
+
+int inspect(const InspectArguments& arguments) {
+    const Experiment experiment = parse_experiment(structure_config(arguments), "");
+    const Scene scene = make_scene(experiment.scene);
+    std::unique_ptr<Assembly> assembly;
+    if (!arguments.config.empty() || !arguments.accelerator.empty())
+        assembly = std::make_unique<Assembly>(assemble(arguments, experiment, scene));
+    fmt::print("{}", inspect_text(scene, assembly.get(), arguments.options));
+    return 0;
+}
+
+int build(const BuildArguments& arguments) {
+    const Experiment experiment = parse_experiment(structure_config(arguments), "");
+    const Scene scene = make_scene(experiment.scene);
+    const Assembly assembly = assemble(arguments, experiment, scene);
+    save_structure(*assembly.root, arguments.out, fingerprint(scene));
+    fmt::print("{}: {} bytes, built in {:.3f} s\n", arguments.out,
+               std::filesystem::file_size(arguments.out), assembly.build_s);
+    return 0;
+}
+
+int export_wireframes(const ExportArguments& arguments) {
+    const Experiment experiment = parse_experiment(structure_config(arguments), "");
+    const Scene scene = make_scene(experiment.scene);
+    const Assembly assembly = assemble(arguments, experiment, scene);
+    const ExportCount count = export_boxes(*assembly.root, arguments.out, arguments.options);
+    fmt::print("{}: {} boxes in {} structures, placed {} times\n", arguments.out, count.boxes,
+               count.structures, count.placements);
+    return 0;
+}
+
+/// What `render` does, as a config.
+ConfigValue render_config(const RenderArguments& arguments) {
+    ConfigValue root = structure_config(arguments);
+    ConfigValue& camera = *root.find("camera");
+    if (!arguments.eye.empty()) camera.set("eye", vector_value(arguments.eye, "--eye"));
+    if (!arguments.at.empty()) camera.set("at", vector_value(arguments.at, "--at"));
+    if (!arguments.up.empty()) camera.set("up", vector_value(arguments.up, "--up"));
+    if (arguments.fov != 0) camera.set("fov", ConfigValue::of(arguments.fov, "--fov"));
+    return root;
+}
+
 int render(const RenderArguments& arguments) {
     const Experiment experiment = parse_experiment(render_config(arguments), "");
     Progress progress;
@@ -136,8 +187,8 @@ int render(const RenderArguments& arguments) {
     progress.step("loading the scene");
     const Scene scene = make_scene(experiment.scene);
     const SceneStatistics s = statistics(scene);
-    progress.step("building");
-    const Assembly assembly = assemble(scene, experiment.variants.front().plan);
+    progress.step(arguments.structure.empty() ? "building" : "loading the structure");
+    const Assembly assembly = assemble(arguments, experiment, scene);
     const BoundingSphere sphere = bounding_sphere(s.bounds_min, s.bounds_max);
     const Camera camera = choose_camera(experiment.scene.camera, scene, sphere);
     progress.step("drawing");
@@ -169,19 +220,50 @@ void add_run(CLI::App& app, RunArguments& a) {
     sub.add_flag("--quiet", a.quiet, "No progress");
 }
 
+/// What says which structure is meant; `loads`: one that was saved will do.
+void add_structure(CLI::App& sub, StructureArguments& a, bool loads) {
+    sub.add_option("scene", a.scene, "File, or procedural:NAME")->required();
+    CLI::Option* accelerator = sub.add_option("--accelerator", a.accelerator, "For everything");
+    CLI::Option* config =
+        sub.add_option("--config", a.config, "As the first variant of this config says")
+            ->excludes(accelerator);
+    sub.add_option("--set", a.settings,
+                   "key=value: a parameter of the accelerator, or of the scene as "
+                   "scene.parameters.KEY=VALUE")
+        ->expected(1)
+        ->take_all();
+    if (loads)
+        sub.add_option("--structure", a.structure, "Not built, but loaded: a file of `build`")
+            ->excludes(accelerator)
+            ->excludes(config);
+}
+
 void add_inspect(CLI::App& app, InspectArguments& a) {
     CLI::App& sub = *app.add_subcommand("inspect", "Show what a scene holds");
-    sub.add_option("scene", a.scene, "File, or procedural:NAME")->required();
+    add_structure(sub, a, false);
     sub.add_flag("--json", a.options.json, "As JSON, without the tree of nodes");
     sub.add_flag("--all", a.options.all, "Every node, however many");
-    sub.add_option("--accelerator", a.accelerator, "Build with this one everywhere, and show it");
-    sub.add_option("--config", a.config,
-                   "Build as the first variant of this config says, and show it");
+}
+
+void add_build(CLI::App& app, BuildArguments& a) {
+    CLI::App& sub = *app.add_subcommand("build", "Build a scene's structure and save it");
+    add_structure(sub, a, false);
+    sub.add_option("-o,--out", a.out, "File to write")->required();
+}
+
+void add_export(CLI::App& app, ExportArguments& a) {
+    CLI::App& sub =
+        *app.add_subcommand("export", "Write a structure's boxes as wireframes (binary glTF)");
+    add_structure(sub, a, true);
+    sub.add_option("-o,--out", a.out, "GLB to write")->capture_default_str();
+    sub.add_option("--depth", a.options.depth, "Deepest level of each structure; 0: its root")
+        ->check(CLI::NonNegativeNumber);
+    sub.add_flag("--empty", a.options.empty_cells, "Empty leaves and cells, too");
 }
 
 void add_render(CLI::App& app, RenderArguments& a) {
     CLI::App& sub = *app.add_subcommand("render", "Draw a scene as a PNG");
-    sub.add_option("scene", a.scene, "File, or procedural:NAME")->required();
+    add_structure(sub, a, true);
     sub.add_option("-o,--out", a.out, "PNG to write")->capture_default_str();
     sub.add_option("--shade", a.shade, "normal, or cost: a heat map of steps and tests")
         ->capture_default_str()
@@ -192,12 +274,6 @@ void add_render(CLI::App& app, RenderArguments& a) {
     sub.add_option("--height", a.height, "Pixels")
         ->capture_default_str()
         ->check(CLI::Range(1, 16384));
-    sub.add_option("--accelerator", a.accelerator, "For everything")->capture_default_str();
-    sub.add_option("--set", a.settings,
-                   "key=value: a parameter of the accelerator, or of the scene as "
-                   "scene.parameters.KEY=VALUE")
-        ->expected(1)
-        ->take_all();
     sub.add_option("--eye", a.eye, "x,y,z: where the camera stands");
     sub.add_option("--at", a.at, "x,y,z: what it looks at");
     sub.add_option("--up", a.up, "x,y,z: otherwise 0,1,0");
@@ -213,10 +289,14 @@ int dispatch(int argc, char** argv) {
     RunArguments run_arguments;
     InspectArguments inspect_arguments;
     RenderArguments render_arguments;
+    BuildArguments build_arguments;
+    ExportArguments export_arguments;
     bool list_json = false;
     add_run(app, run_arguments);
     add_inspect(app, inspect_arguments);
     add_render(app, render_arguments);
+    add_build(app, build_arguments);
+    add_export(app, export_arguments);
     CLI::App& list = *app.add_subcommand("list", "List accelerators, workloads and scenes");
     list.add_flag("--json", list_json, "As JSON");
     try {
@@ -229,6 +309,8 @@ int dispatch(int argc, char** argv) {
     if (app.got_subcommand("run")) return run(run_arguments);
     if (app.got_subcommand("inspect")) return inspect(inspect_arguments);
     if (app.got_subcommand("render")) return render(render_arguments);
+    if (app.got_subcommand("build")) return build(build_arguments);
+    if (app.got_subcommand("export")) return export_wireframes(export_arguments);
     fmt::print("{}", list_json ? catalog_json() : catalog_text());
     return 0;
 }

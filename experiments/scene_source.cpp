@@ -5,12 +5,29 @@
 
 #include "experiments/hash.h"
 #include "experiments/random.h"
+#include "framework/archive.h"
 #include "framework/error.h"
 #include "scenegraph/append.h"
 #include "scenegraph/procedural/procedural.h"
 
 namespace crofton {
 namespace {
+
+struct ShapeBytes {
+    ArchiveWriter& out;
+    void operator()(const TriangleMesh& m) const { out(m.positions, m.triangles); }
+    void operator()(const Points& p) const { out(p.positions); }
+    void operator()(const Polygons& p) const { out(p.positions, p.first); }
+    void operator()(const Quadrics& q) const {
+        for (const Quadric& quadric : q.shapes) {
+            out(uint32_t(quadric.index()));
+            std::visit(*this, quadric);
+        }
+    }
+    void operator()(const Sphere& s) const { out(s.center, s.radius); }
+    void operator()(const Cone& c) const { out(c.base, c.base_radius, c.apex, c.apex_radius); }
+    void operator()(const Disc& d) const { out(d.center, d.radius, d.normal, d.inner_radius); }
+};
 
 namespace fs = std::filesystem;
 
@@ -198,6 +215,23 @@ Scene make_scene(const SceneSpec& spec) {
         scene.name += (scene.name.empty() ? "" : "+") + place.name;
     }
     return scene;
+}
+
+std::string fingerprint(const Scene& scene) {
+    // The archive's own byte form of each part: plain data, sizes before contents.
+    ArchiveWriter out;
+    for (const Geometry& geometry : scene.geometries) {
+        out(uint32_t(geometry.shapes.index()));
+        std::visit(ShapeBytes{out}, geometry.shapes);
+    }
+    for (const Mesh& mesh : scene.meshes) out(mesh.geometries);
+    for (const Node& node : scene.nodes)
+        out(node.parent_from_node, node.children, node.mesh.value_or(UINT32_MAX),
+            node.node_from_instance);
+    out(scene.roots);
+    Fnv1a hash;
+    hash.add(out.buffer().data(), out.buffer().size());
+    return hash.hex();
 }
 
 std::map<std::string, std::string> file_hashes(const SceneSpec& spec) {

@@ -54,6 +54,9 @@ SceneSource scene_source(const std::string& name);
 /// @throws InputError  a file that cannot be used, a parameter out of range
 Scene make_scene(const SceneSpec& spec);
 
+/// FNV-1a of all that a structure can depend on: shapes, meshes, nodes and their transforms.
+std::string fingerprint(const Scene& scene);
+
 /// FNV-1a of every file that the scene names, by path.
 std::map<std::string, std::string> file_hashes(const SceneSpec& spec);
 

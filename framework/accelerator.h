@@ -6,6 +6,7 @@
 #define CROFTON_FRAMEWORK_ACCELERATOR_H_
 #endif
 
+#include "framework/archive.h"
 #include "framework/parameters.h"
 #include "framework/primitive.h"
 #include "framework/registry.h"
@@ -61,6 +62,10 @@ class AcceleratedObject final : public Primitive {
         if constexpr (std::is_same_v<Set, ObjectSet>)
             for (uint32_t i = 0; i < set_->size(); ++i) visit(set_->object(i));
     }
+    void archive(StructureWriter& out) const override {
+        out.set(set_);
+        out(structure_);
+    }
 
   private:
     Structure structure_;
@@ -75,6 +80,19 @@ std::unique_ptr<Primitive> build_object(const PrimitiveSet& any_set, const Param
         [&]<class Set>(const std::shared_ptr<const Set>& set) -> std::unique_ptr<Primitive> {
             return std::make_unique<AcceleratedObject<Structure<Set>, Traversal, Set>>(
                 set, Structure<Set>::build(*set, parameters));
+        },
+        any_set);
+}
+
+template <template <class> class Structure, class Traversal>
+std::unique_ptr<Primitive> load_object(StructureReader& in) {
+    const PrimitiveSet any_set = in.set();
+    return std::visit(
+        [&]<class Set>(const std::shared_ptr<const Set>& set) -> std::unique_ptr<Primitive> {
+            Structure<Set> structure;
+            in(structure);
+            return std::make_unique<AcceleratedObject<Structure<Set>, Traversal, Set>>(
+                set, std::move(structure));
         },
         any_set);
 }
@@ -111,18 +129,23 @@ HWY_AFTER_NAMESPACE();
     std::unique_ptr<Primitive> build_##Structure(const PrimitiveSet& set, const Parameters& p) { \
         return build_object<Structure, Traversal>(set, p);                                       \
     }                                                                                            \
+    std::unique_ptr<Primitive> load_##Structure(StructureReader& in) {                           \
+        return load_object<Structure, Traversal>(in);                                            \
+    }                                                                                            \
     }                                                                                            \
     }                                                                                            \
     HWY_AFTER_NAMESPACE();
 
 /// Once, under HWY_ONCE, inside namespace crofton: puts the accelerator into the registry.
-#define CROFTON_REGISTER_ACCELERATOR(Structure, Parameters, registry_name, summary, source)  \
-    HWY_EXPORT(build_##Structure);                                                           \
-    bool Structure##_registered =                                                            \
-        register_accelerator({registry_name, summary, source, list_parameters<Parameters>(), \
-                              [](const PrimitiveSet& set, const ParameterValues& values) {   \
-                                  const Parameters p = read_parameters<Parameters>(values);  \
-                                  return HWY_DYNAMIC_DISPATCH(build_##Structure)(set, p);    \
-                              }})
+#define CROFTON_REGISTER_ACCELERATOR(Structure, Parameters, registry_name, summary, source) \
+    HWY_EXPORT(load_##Structure);                                                           \
+    HWY_EXPORT(build_##Structure);                                                          \
+    bool Structure##_registered = register_accelerator(                                     \
+        {registry_name, summary, source, list_parameters<Parameters>(),                     \
+         [](const PrimitiveSet& set, const ParameterValues& values) {                       \
+             const Parameters p = read_parameters<Parameters>(values);                      \
+             return HWY_DYNAMIC_DISPATCH(build_##Structure)(set, p);                        \
+         },                                                                                 \
+         [](StructureReader& in) { return HWY_DYNAMIC_DISPATCH(load_##Structure)(in); }})
 
 #endif

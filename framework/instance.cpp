@@ -2,6 +2,7 @@
 
 #include <cassert>
 
+#include "framework/archive.h"
 #include "framework/cost.h"
 
 namespace crofton {
@@ -98,6 +99,19 @@ void Instance::walk(const BoxVisitor& visit) const { visit(bounds(), 0, true, 1)
 
 void Instance::children(const std::function<void(const Primitive&)>& visit) const {
     visit(*object_);
+}
+
+void Instance::archive(StructureWriter& out) const {
+    out.object(*object_);
+    out(parent_from_object_);
+}
+
+std::shared_ptr<const Primitive> Instance::load(StructureReader& in) {
+    auto object = in.object();
+    Transform parent_from_object;
+    in(parent_from_object);
+    if (!is_valid(parent_from_object)) in.refuse("places an object by a map without an inverse");
+    return std::make_shared<const Instance>(std::move(object), parent_from_object);
 }
 
 }  // namespace crofton

@@ -4,6 +4,8 @@
 
 namespace crofton {
 
+class StructureReader;
+
 /// Another primitive under an affine map. t keeps its meaning: directions are not renormalised.
 ///
 /// A ray is always moved from the world with the composed map, never through a chain of rounded
@@ -12,6 +14,7 @@ namespace crofton {
 /// Object space serves to skip: the local ray is thick by the error of the map.
 class Instance final : public Primitive {
   public:
+    static constexpr const char* registry_name = "instance";
     /// @param parent_from_object  must have a finite inverse, see `is_valid`
     Instance(std::shared_ptr<const Primitive> object, const Transform& parent_from_object);
 
@@ -27,9 +30,11 @@ class Instance final : public Primitive {
     bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override;
     double expected_cost() const override;
     StructureStatistics statistics() const override;
-    std::string type_name() const override { return "instance"; }
+    std::string type_name() const override { return registry_name; }
     void walk(const BoxVisitor& visit) const override;
     void children(const std::function<void(const Primitive&)>& visit) const override;
+    void archive(StructureWriter& out) const override;
+    static std::shared_ptr<const Primitive> load(StructureReader& in);
 
   private:
     bool enter(const LocalRay& outer, const RayQuery& query, InstanceFrame& frame,

@@ -10,6 +10,13 @@ ObjectSet::ObjectSet(std::vector<Object> objects) : objects_(std::move(objects))
         entries_.push_back({object.primitive->bounds(), object.instance, object.primitive.get()});
 }
 
+ObjectSet ObjectSet::subset(std::span<const uint32_t> objects) const {
+    std::vector<Object> part;
+    part.reserve(objects.size());
+    for (uint32_t i : objects) part.push_back(objects_[i]);
+    return ObjectSet(std::move(part));
+}
+
 double ObjectSet::cost(uint32_t i) const {
     return cost_constants.object + entries_[i].primitive->expected_cost();
 }

@@ -16,6 +16,8 @@ class ObjectSet {
         uint32_t instance = 0;  ///< added to the instance ids of hits inside
     };
     explicit ObjectSet(std::vector<Object> objects);
+    /// The objects named.
+    ObjectSet subset(std::span<const uint32_t> objects) const;
 
     uint32_t size() const { return uint32_t(objects_.size()); }
     bool active(uint32_t i) const { return !entries_[i].bounds.empty(); }
@@ -48,6 +50,10 @@ class ReferenceLeaves {
     uint32_t add(const Set&, std::span<const uint32_t> shapes) {
         references_.insert(references_.end(), shapes.begin(), shapes.end());
         return uint32_t(references_.size() - shapes.size());
+    }
+    template <class A>
+    void archive(A& a) {
+        a(references_);
     }
     const uint32_t* references() const { return references_.data(); }
     uint64_t bytes() const { return references_.size() * sizeof(uint32_t); }

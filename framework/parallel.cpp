@@ -36,6 +36,8 @@ void parallel_invoke(const std::function<void()>& a, const std::function<void()>
     }
 }
 
+void parallel_isolated(const std::function<void()>& body) { tbb::this_task_arena::isolate(body); }
+
 void parallel_arena(const std::function<void()>& body) {
     tbb::task_arena arena(threads());
     arena.execute(body);

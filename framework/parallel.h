@@ -16,6 +16,10 @@ void parallel_for(size_t n, size_t grain, const std::function<void(size_t, size_
 /// Runs both, possibly at once, and waits.
 void parallel_invoke(const std::function<void()>& a, const std::function<void()>& b);
 
+/// Runs `body`; while a loop inside waits, this thread takes up no work from outside `body`. For
+/// work done under a lock that the work outside may ask for, too.
+void parallel_isolated(const std::function<void()>& body);
+
 /// Runs `body` with loops inside limited to threads().
 void parallel_arena(const std::function<void()>& body);
 

@@ -78,18 +78,7 @@ std::vector<ParameterInfo> list_parameters() {
 /// @throws InputError  an unknown name, a wrong type, a value out of range
 template <class Parameters>
 Parameters read_parameters(const ParameterValues& values) {
-    const std::vector<ParameterInfo> infos = list_parameters<Parameters>();
-    ParameterValues valid;
-    for (const auto& [name, value] : values) {
-        const ParameterInfo* info = nullptr;
-        std::vector<std::string> names;
-        for (const ParameterInfo& i : infos) {
-            names.push_back(i.name);
-            if (i.name == name) info = &i;
-        }
-        if (!info) throw InputError(unknown_name("parameter", name, names));
-        valid[name] = checked(*info, value);
-    }
+    const ParameterValues valid = checked(list_parameters<Parameters>(), values);
     Parameters parameters;
     ParameterReader reader(valid);
     parameters.fields(reader);

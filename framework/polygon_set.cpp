@@ -21,6 +21,17 @@ PolygonSet::PolygonSet(std::vector<Vec3f> corners, std::vector<uint32_t> first, 
     }
 }
 
+PolygonSet PolygonSet::subset(std::span<const uint32_t> shapes) const {
+    std::vector<Vec3f> corners;
+    std::vector<uint32_t> first{0};
+    for (uint32_t i : shapes) {
+        corners.insert(corners.end(), corners_.begin() + first_[i],
+                       corners_.begin() + first_[i + 1]);
+        first.push_back(uint32_t(corners.size()));
+    }
+    return PolygonSet(std::move(corners), std::move(first), ids_.subset(shapes));
+}
+
 Bounds3 PolygonSet::bounds(uint32_t i) const {
     Bounds3 b;
     for (uint32_t k = first_[i]; k < first_[i + 1]; ++k) b.extend(corners_[k]);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <span>
 #include <vector>
 
 #include "framework/bounds.h"
@@ -16,6 +17,13 @@ class PolygonSet {
   public:
     /// @param first  index of each polygon's first corner in `corners`, then corners.size()
     PolygonSet(std::vector<Vec3f> corners, std::vector<uint32_t> first, IdTable ids = {});
+    PolygonSet() : PolygonSet({}, {0}) {}
+    /// The polygons named, with their ids in this set.
+    PolygonSet subset(std::span<const uint32_t> shapes) const;
+    template <class A>
+    void archive(A& a) {
+        a(corners_, first_, normals_, ids_);
+    }
 
     uint32_t size() const { return uint32_t(first_.size() - 1); }
     bool active(uint32_t i) const { return !normals_[i].isZero(0); }

@@ -14,6 +14,8 @@
 
 namespace crofton {
 
+class StructureWriter;
+
 /// What was built: the structure part of the Best Efficiency Scheme. Nested objects not included.
 struct StructureStatistics {
     uint64_t N_IN = 0;   ///< interior nodes (trees) or 0 (flat grids)
@@ -82,6 +84,11 @@ class Primitive {
     virtual void walk(const BoxVisitor& visit) const = 0;
     /// Visits the objects directly inside, each once per reference in its set (not per leaf).
     virtual void children(const std::function<void(const Primitive&)>& visit) const = 0;
+    /// Writes what a reader needs to make this again, objects inside by their numbers: see
+    /// save_structure.
+    virtual void archive(StructureWriter& out) const = 0;
+    /// What stands in for this in a saved file: itself, or the structure that it builds on demand.
+    virtual const Primitive& resolved() const { return *this; }
 
   protected:
     void set_bounds(const Bounds3& bounds) {

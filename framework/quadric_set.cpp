@@ -104,6 +104,14 @@ void extend_by_disc(Bounds3& b, const Vec3d& c, double r, const Vec3d& n) {
 QuadricSet::QuadricSet(std::vector<QuadricShape> shapes, IdTable ids)
     : shapes_(std::move(shapes)), ids_(std::move(ids)) {}
 
+QuadricSet QuadricSet::subset(std::span<const uint32_t> shapes) const {
+    QuadricSet part;
+    part.shapes_.reserve(shapes.size());
+    for (uint32_t i : shapes) part.shapes_.push_back(shapes_[i]);
+    part.ids_ = ids_.subset(shapes);
+    return part;
+}
+
 bool QuadricSet::active(uint32_t i) const {
     const QuadricShape& s = shapes_[i];
     const bool finite = s.p.allFinite() && std::isfinite(s.p_radius) && s.p_radius >= 0;

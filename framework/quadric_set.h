@@ -18,6 +18,11 @@ struct QuadricShape {
     float p_radius;
     Vec3f q;
     float q_radius;
+
+    template <class A>
+    void archive(A& a) {
+        a(kind, p, p_radius, q, q_radius);
+    }
 };
 
 /// Spheres, cones, cylinders and discs. Both sides of every surface are hit. Tests run in double on
@@ -26,6 +31,13 @@ struct QuadricShape {
 class QuadricSet {
   public:
     explicit QuadricSet(std::vector<QuadricShape> shapes, IdTable ids = {});
+    QuadricSet() = default;
+    /// The shapes named, with their ids in this set.
+    QuadricSet subset(std::span<const uint32_t> shapes) const;
+    template <class A>
+    void archive(A& a) {
+        a(shapes_, ids_);
+    }
 
     uint32_t size() const { return uint32_t(shapes_.size()); }
     bool active(uint32_t i) const;

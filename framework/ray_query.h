@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "framework/ray.h"
@@ -109,22 +110,36 @@ class IdTable {
     IdTable() : runs_{{0, 0, 0, 0}} {}
     explicit IdTable(std::vector<Run> runs) : runs_(std::move(runs)) {}
 
+    /// Of a part of the set: shape i of the part is shape shapes[i] of the whole.
+    IdTable subset(std::span<const uint32_t> shapes) const {
+        IdTable part(runs_);
+        part.whole_.assign(shapes.begin(), shapes.end());
+        if (!whole_.empty())
+            for (uint32_t& shape : part.whole_) shape = whole_[shape];
+        return part;
+    }
+    template <class A>
+    void archive(A& a) {
+        a(runs_, whole_);
+    }
+    void resolve(uint32_t shape, uint32_t base, Hit& hit) const {
+        if (!whole_.empty()) shape = whole_[shape];
+        const Run& run = run_of(shape);
+        hit.primitive = run.primitive + (shape - run.first);
+        hit.geometry = run.geometry;
+        hit.instance = base + run.instance;
+    }
+    size_t bytes() const { return runs_.size() * sizeof(Run) + whole_.size() * sizeof(uint32_t); }
+
+  private:
     const Run& run_of(uint32_t shape) const {
         if (runs_.size() == 1) return runs_[0];
         const auto it = std::upper_bound(runs_.begin(), runs_.end(), shape,
                                          [](uint32_t s, const Run& r) { return s < r.first; });
         return *(it - 1);
     }
-    void resolve(uint32_t shape, uint32_t base, Hit& hit) const {
-        const Run& run = run_of(shape);
-        hit.primitive = run.primitive + (shape - run.first);
-        hit.geometry = run.geometry;
-        hit.instance = base + run.instance;
-    }
-    size_t bytes() const { return runs_.size() * sizeof(Run); }
-
-  private:
-    std::vector<Run> runs_;  ///< sorted by `first`, the first one 0
+    std::vector<Run> runs_;        ///< sorted by `first`, the first one 0
+    std::vector<uint32_t> whole_;  ///< a part's shapes in the whole set; empty: this is the whole
 };
 
 inline Hit RayQuery::ids() const {

@@ -6,6 +6,8 @@
 #include <cstdlib>
 
 #include "framework/error.h"
+#include "framework/lazy.h"
+#include "framework/parameters.h"
 
 namespace crofton {
 namespace {
@@ -36,6 +38,18 @@ constexpr Isa isas[] = {{"sse4", HWY_SSE4}, {"avx2", HWY_AVX2}, {"avx512", HWY_A
 int64_t& active_target() {
     static int64_t target = 0;
     return target;
+}
+
+/// Those of `values` that `infos` names, or all others.
+ParameterValues part_of(const ParameterValues& values, const std::vector<ParameterInfo>& infos,
+                        bool named) {
+    ParameterValues part;
+    for (const auto& value : values)
+        if (named == std::any_of(infos.begin(), infos.end(), [&](const ParameterInfo& info) {
+                return info.name == value.first;
+            }))
+            part.insert(value);
+    return part;
 }
 
 /// Widest one at first use; the environment variable CROFTON_ISA narrows it.
@@ -77,6 +91,21 @@ ParameterValue checked(const ParameterInfo& info, const ParameterValue& value) {
     return v;
 }
 
+ParameterValues checked(const std::vector<ParameterInfo>& infos, const ParameterValues& values) {
+    ParameterValues valid;
+    for (const auto& [name, value] : values) {
+        const ParameterInfo* info = nullptr;
+        std::vector<std::string> names;
+        for (const ParameterInfo& i : infos) {
+            names.push_back(i.name);
+            if (i.name == name) info = &i;
+        }
+        if (!info) throw InputError(unknown_name("parameter", name, names));
+        valid[name] = checked(*info, value);
+    }
+    return valid;
+}
+
 const ParameterInfo* AcceleratorInfo::find(const std::string& parameter) const {
     for (const ParameterInfo& info : parameters)
         if (info.name == parameter) return &info;
@@ -98,13 +127,24 @@ const AcceleratorInfo& accelerator(const std::string& name) {
     return it->second;
 }
 
+std::shared_ptr<const Primitive> load_accelerator(const std::string& name, StructureReader& in) {
+    ensure_target();
+    return accelerator(name).load(in);
+}
+
 bool register_accelerator(AcceleratorInfo info) {
     const std::string name = info.name;
+    const std::vector<ParameterInfo> common = list_parameters<LazyOptions>();
+    info.parameters.insert(info.parameters.end(), common.begin(), common.end());
     // Every build first makes sure that an instruction set is chosen.
-    info.build = [inner = std::move(info.build)](const PrimitiveSet& set,
-                                                 const ParameterValues& values) {
+    info.build = [inner = std::move(info.build), all = info.parameters, common](
+                     const PrimitiveSet& set, const ParameterValues& values) {
         ensure_target();
-        return inner(set, values);
+        const ParameterValues valid = checked(all, values);
+        const LazyOptions options = read_parameters<LazyOptions>(part_of(valid, common, true));
+        const LazyBuild build = [inner, own = part_of(valid, common, false)](
+                                    const PrimitiveSet& s) { return inner(s, own); };
+        return options.lazy ? build_lazily(set, build, options.lazy_size) : build(set);
     };
     return table().emplace(name, std::move(info)).second;
 }

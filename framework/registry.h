@@ -12,6 +12,8 @@
 
 namespace crofton {
 
+class StructureReader;
+
 /// The value of one parameter of an accelerator.
 using ParameterValue = std::variant<bool, int64_t, double, std::string>;
 using ParameterValues = std::map<std::string, ParameterValue>;
@@ -34,6 +36,9 @@ std::string to_string(const ParameterValue& value);
 ///                     string", "unknown value 'x'; did you mean 'y'?"
 ParameterValue checked(const ParameterInfo& info, const ParameterValue& value);
 
+/// Checks all of them. @throws InputError  as above, or for an unknown name with the nearest valid
+ParameterValues checked(const std::vector<ParameterInfo>& infos, const ParameterValues& values);
+
 struct AcceleratorInfo {
     std::string name;     ///< registry name = file stem
     std::string summary;  ///< one sentence
@@ -42,6 +47,8 @@ struct AcceleratorInfo {
     /// Builds over any set. Parameters that are missing take their default.
     /// @throws InputError  as `checked`, or for an unknown parameter with the nearest valid name
     std::function<std::unique_ptr<Primitive>(const PrimitiveSet&, const ParameterValues&)> build;
+    /// Reads what a built one wrote: see load_structure.
+    std::function<std::unique_ptr<Primitive>(StructureReader&)> load;
 
     const ParameterInfo* find(const std::string& parameter) const;
 };
@@ -51,6 +58,9 @@ const std::map<std::string, AcceleratorInfo>& accelerators();
 /// @throws InputError  unknown accelerator, with the nearest valid name
 const AcceleratorInfo& accelerator(const std::string& name);
 std::vector<std::string> accelerator_names();
+
+/// Reads one of the named type. @throws InputError  an unknown name, or as StructureReader
+std::shared_ptr<const Primitive> load_accelerator(const std::string& name, StructureReader& in);
 
 /// Adds an accelerator at program start; used through CROFTON_REGISTER_ACCELERATOR.
 bool register_accelerator(AcceleratorInfo info);

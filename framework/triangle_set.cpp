@@ -9,14 +9,24 @@
 namespace crofton {
 
 TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids)
-    : positions_(std::move(positions)), triangles_(std::move(triangles)), ids_(std::move(ids)) {
+    : triangles_(std::move(triangles)), ids_(std::move(ids)) {
     for (size_t i = 0; i < triangles_.size(); ++i)
         for (uint32_t index : triangles_[i])
-            if (index >= positions_.size())
+            if (index >= positions.size())
                 throw InputError("triangle " + std::to_string(i) + ": vertex index " +
-                                 std::to_string(index) + " of " +
-                                 std::to_string(positions_.size()));
-    positions_.push_back(Vec3f::Zero());
+                                 std::to_string(index) + " of " + std::to_string(positions.size()));
+    positions.push_back(Vec3f::Zero());
+    own(std::move(positions));
+}
+
+TriangleSet TriangleSet::subset(std::span<const uint32_t> shapes) const {
+    TriangleSet part;
+    part.positions_ = positions_;
+    part.vertices_ = vertices_;
+    part.triangles_.reserve(shapes.size());
+    for (uint32_t i : shapes) part.triangles_.push_back(triangles_[i]);
+    part.ids_ = ids_.subset(shapes);
+    return part;
 }
 
 bool TriangleSet::active(uint32_t i) const {
@@ -32,7 +42,7 @@ Bounds3 TriangleSet::bounds(uint32_t i) const {
 double TriangleSet::cost(uint32_t) const { return cost_constants.triangle_block / 4; }
 
 uint64_t TriangleSet::bytes() const {
-    return positions_.size() * sizeof(Vec3f) + triangles_.size() * sizeof(Indices) + ids_.bytes();
+    return positions_->size() * sizeof(Vec3f) + triangles_.size() * sizeof(Indices) + ids_.bytes();
 }
 
 Bounds3 TriangleSet::clipped_bounds(uint32_t i, const Bounds3& box) const {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -19,10 +20,19 @@ class TriangleSet {
     /// @param triangles  indices into `positions`
     /// @throws InputError  an index is out of range
     TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids = {});
+    TriangleSet() : TriangleSet({}, {}) {}
+    /// The triangles named, with their ids in this set; vertices are shared.
+    TriangleSet subset(std::span<const uint32_t> shapes) const;
+    template <class A>
+    void archive(A& a) {
+        std::vector<Vec3f> positions(*positions_);
+        a(positions, triangles_, ids_);
+        own(std::move(positions));
+    }
 
     uint32_t size() const { return uint32_t(triangles_.size()); }
     bool active(uint32_t i) const;
-    const Vec3f& vertex(uint32_t i, int k) const { return positions_[triangles_[i][k]]; }
+    const Vec3f& vertex(uint32_t i, int k) const { return vertices_[triangles_[i][k]]; }
     Bounds3 bounds(uint32_t i) const;
     /// Box of the part of triangle i inside `box`, rounded outwards; empty if there is none.
     Bounds3 clipped_bounds(uint32_t i, const Bounds3& box) const;
@@ -35,10 +45,15 @@ class TriangleSet {
 
     const Indices* triangles() const { return triangles_.data(); }
     /// Vertices as packed floats; one more may be read behind the last.
-    const float* coordinates() const { return positions_.front().data(); }
+    const float* coordinates() const { return vertices_->data(); }
 
   private:
-    std::vector<Vec3f> positions_;  ///< and one dummy at the end
+    void own(std::vector<Vec3f> positions) {
+        positions_ = std::make_shared<const std::vector<Vec3f>>(std::move(positions));
+        vertices_ = positions_->data();
+    }
+    std::shared_ptr<const std::vector<Vec3f>> positions_;  ///< and one dummy at the end
+    const Vec3f* vertices_ = nullptr;
     std::vector<Indices> triangles_;
     IdTable ids_;
 };
@@ -59,6 +74,10 @@ class TriangleLeaves {
 
     /// Appends a leaf. @return its first block
     uint32_t add(const TriangleSet& set, std::span<const uint32_t> shapes);
+    template <class A>
+    void archive(A& a) {
+        a(blocks_);
+    }
     const TriangleBlock<width>* blocks() const { return blocks_.data(); }
     uint64_t bytes() const { return blocks_.size() * sizeof(TriangleBlock<width>); }
     /// Nominal cost of a leaf, given the sum of its shapes' costs: blocks are tested whole.

@@ -67,8 +67,8 @@ const char* const small =
 }  // namespace
 
 TEST_CASE("cli: help is there for every command and exits with 0") {
-    for (const char* arguments :
-         {"--help", "run --help", "inspect --help", "render --help", "list --help"}) {
+    for (const char* arguments : {"--help", "run --help", "inspect --help", "render --help",
+                                  "build --help", "export --help", "list --help"}) {
         const Outcome outcome = run_crofton(arguments);
         INFO(arguments);
         CHECK(outcome.code == 0);
@@ -236,4 +236,44 @@ TEST_CASE("cli: render writes pictures by normal and by cost") {
     CHECK(
         run_crofton("render procedural:stadium --set no_such=1 -o " + folder.path("x.png")).code ==
         2);
+}
+
+TEST_CASE("cli: a built structure is saved, and drawn again without a build for its scene only") {
+    Folder folder;
+    const std::string saved = folder.path("stadium.crofton"), size = " --width 64 --height 48 -o ";
+    const std::string built_png = folder.path("built.png"), loaded_png = folder.path("loaded.png");
+    REQUIRE(run_crofton("build procedural:stadium --accelerator kdtree -o " + saved).code == 0);
+    CHECK(run_crofton("render procedural:stadium --accelerator kdtree" + size + built_png).code ==
+          0);
+    CHECK(run_crofton("render procedural:stadium --structure " + saved + size + loaded_png).code ==
+          0);
+    CHECK(read_text(built_png) == read_text(loaded_png));
+
+    const Outcome other = run_crofton("render procedural:stadium --set scene.parameters.size=50" +
+                                      (" --structure " + saved + size + loaded_png));
+    CHECK(other.code == 2);
+    CHECK(other.out.find("was saved for another scene") != std::string::npos);
+    std::string text = read_text(saved);
+    text[text.size() / 2] ^= 1;
+    const std::string damaged = folder.file("damaged.crofton", text);
+    const Outcome refused =
+        run_crofton("export procedural:stadium --structure " + damaged + " -o " + loaded_png);
+    CHECK(refused.code == 2);
+    CHECK(refused.out == "crofton: error: " + damaged + ": damaged: the checksum differs\n");
+}
+
+TEST_CASE("cli: export writes the boxes of every structure as lines that a glTF reader accepts") {
+    Folder folder;
+    const std::string glb = folder.path("boxes.glb");
+    for (const std::string& options :
+         {std::string("--accelerator octree"), std::string("--accelerator uniform_grid --empty"),
+          std::string("--accelerator kdtree --depth 3")}) {
+        INFO(options);
+        const Outcome outcome = run_crofton("export procedural:stadium " + options + " -o " + glb);
+        CHECK(outcome.code == 0);
+        CHECK(outcome.out.find(" boxes in ") != std::string::npos);
+        const auto json = nlohmann::json::parse(run_crofton("inspect --json " + glb).out);
+        CHECK(json.at("mesh_instances") >= 1);
+        CHECK(json.at("triangles_unique") == 0);
+    }
 }

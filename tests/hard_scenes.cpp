@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <array>
 #include <cmath>
+#include <cstring>
 #include <limits>
 #include <map>
 
@@ -261,6 +262,15 @@ void icosphere(int level, std::vector<Vec3f>& p, Triangles& t) {
         }
         t = std::move(finer);
     }
+}
+
+size_t different_hits(const Primitive& a, const Primitive& b, std::span<const Ray> rays) {
+    size_t n = 0;
+    for (const Ray& ray : rays) {
+        const Hit x = a.intersect(ray), y = b.intersect(ray);
+        n += std::memcmp(&x, &y, sizeof(Hit)) != 0 || a.occluded(ray) != b.occluded(ray);
+    }
+    return n;
 }
 
 Bounds3 bounds_of(const PrimitiveSet& any) {

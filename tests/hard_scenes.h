@@ -1,9 +1,11 @@
 #pragma once
 
+#include <span>
 #include <string>
 #include <vector>
 
 #include "framework/bounds.h"
+#include "framework/primitive.h"
 #include "framework/primitive_sets.h"
 #include "framework/ray.h"
 
@@ -44,6 +46,9 @@ std::vector<Ray> hard_rays(const Bounds3& bounds, const std::vector<Vec3f>& vert
                            uint64_t seed);
 
 Bounds3 bounds_of(const PrimitiveSet& set);
+
+/// Rays for which the two differ in any bit of the closest hit, or in whether anything is hit.
+size_t different_hits(const Primitive& a, const Primitive& b, std::span<const Ray> rays);
 
 /// A closed sphere of 20·4^level triangles.
 void icosphere(int level, std::vector<Vec3f>& positions,

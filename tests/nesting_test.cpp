@@ -1,8 +1,6 @@
 // Accelerators inside accelerators: every ordered pair, three levels deep, under maps that scale,
 // shear and mirror. Hits have the bits of one flat structure over baked vertices.
 
-#include <cstring>
-
 #include "framework/instance.h"
 #include "framework/object_set.h"
 #include "framework/quadric_set.h"
@@ -77,13 +75,8 @@ TEST_CASE("every ordered pair nests three levels deep with the bits of the flat 
                     {std::make_shared<Instance>(middle, maps()[i]), i * uint32_t(maps().size())});
             const auto top = inner_info.build(std::make_shared<const ObjectSet>(high), {});
 
-            size_t wrong = 0;
-            for (const Ray& ray : rays) {
-                const Hit a = flat->intersect(ray), b = top->intersect(ray);
-                wrong += std::memcmp(&a, &b, sizeof(Hit)) != 0 || top->occluded(ray) != a.is_hit();
-            }
             INFO(inner << " in " << outer << " in " << inner);
-            CHECK(wrong == 0);
+            CHECK(test::different_hits(*flat, *top, rays) == 0);
         }
 }
 
