@@ -101,6 +101,7 @@ RunSpec read_run(ConfigTable table) {
     run.picture_height = table.integer("picture_height", run.picture_height, 64, 8192);
     run.max_pass_s = table.real("max_pass_s", run.max_pass_s, 1e-3, 1e6);
     run.max_check_s = table.real("max_check_s", run.max_check_s, 0, 1e6);
+    run.first_image = table.integer("first_image", run.first_image, 0, 1000);
     table.finish();
     return run;
 }

@@ -60,17 +60,22 @@ std::string cut(const std::string& text, size_t most) {
 std::vector<std::string> cells(const Row& row, double best) {
     const double n = double(std::max<uint64_t>(row.rays_checked, 1));
     const bool partial = row.rays_timed < row.rays;
-    return {row.variant,
-            cut(row.accelerator, 44),
-            short_number(1e3 / row.ns_per_ray.median),
-            short_number(row.ns_per_ray.median) + (partial ? "*" : ""),
-            fmt::format("[{}, {}]", short_number(row.ns_per_ray.low),
-                        short_number(row.ns_per_ray.high)),
-            short_number(double(row.counters.N_IT) / n),
-            short_number(double(row.counters.N_TS) / n),
-            short_number(row.build_s),
-            short_number(double(row.structure.bytes) / 1e6),
-            short_number(row.ns_per_ray.median / best)};
+    std::vector<std::string> cells{row.variant,
+                                   cut(row.accelerator, 44),
+                                   short_number(1e3 / row.ns_per_ray.median),
+                                   short_number(row.ns_per_ray.median) + (partial ? "*" : ""),
+                                   fmt::format("[{}, {}]", short_number(row.ns_per_ray.low),
+                                               short_number(row.ns_per_ray.high)),
+                                   short_number(double(row.counters.N_IT) / n),
+                                   short_number(double(row.counters.N_TS) / n),
+                                   short_number(row.build_s),
+                                   short_number(double(row.structure.bytes) / 1e6),
+                                   short_number(row.ns_per_ray.median / best)};
+    if (row.first_image_s > 0) {
+        cells.push_back(short_number(row.first_image_s));
+        cells.push_back(short_number(double(row.first_image_bytes) / 1e6));
+    }
+    return cells;
 }
 
 std::string part_text(std::span<const Row> rows, bool color) {
@@ -79,8 +84,10 @@ std::string part_text(std::span<const Row> rows, bool color) {
         return a.ns_per_ray.median < b.ns_per_ray.median;
     });
     Table table(2);
-    table.add({"variant", "accelerator", "M rays/s", "ns/ray", "interval", "N_IT", "N_TS",
-               "build s", "MB", "x best"});
+    std::vector<std::string> head{"variant", "accelerator", "M rays/s", "ns/ray", "interval",
+                                  "N_IT",    "N_TS",        "build s",  "MB",     "x best"};
+    if (first.first_image_s > 0) head.insert(head.end(), {"first image s", "MB then"});
+    table.add(std::move(head));
     for (const Row& row : rows) table.add(cells(row, best->ns_per_ray.median));
     const std::vector<std::string> lines = table.lines();
     std::string text = fmt::format("{}, {}: {} rays, {} hit, {} hit{}\n", first.scene,

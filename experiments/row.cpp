@@ -114,6 +114,10 @@ std::string to_json_line(const Row& row) {
     json["shapes"] = row.shapes;
     json["instances"] = row.instances;
     json["build_s"] = row.build_s;
+    if (row.first_image_s > 0) {
+        json["first_image_s"] = row.first_image_s;
+        json["first_image_bytes"] = row.first_image_bytes;
+    }
     put_structure(json, row.structure);
     put_counters(json, row.counters, row.rays_checked);
     put_timing(json, row);

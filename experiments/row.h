@@ -25,8 +25,11 @@ struct Row {
     std::string checked_against;
     uint64_t triangles = 0, triangles_instanced = 0, shapes = 0, instances = 0;
     double build_s = 0;
-    StructureStatistics structure;  ///< nested structures included
-    Counters counters;              ///< sums over rays_checked
+    /// Median seconds from nothing built to every ray of the workload traced once; 0: not measured.
+    double first_image_s = 0;
+    uint64_t first_image_bytes = 0;  ///< of what was built by then
+    StructureStatistics structure;   ///< nested structures included
+    Counters counters;               ///< sums over rays_checked
     MedianInterval ns_per_ray;
     std::vector<double> ns_per_ray_raw;  ///< one a pass
     double expected_ns = 0;              ///< Primitive::expected_cost

@@ -26,8 +26,6 @@ constexpr double picture_s = 2.0;  ///< aim for one heat map
 struct Built {
     const Variant* spec;
     Assembly assembly;
-    StructureStatistics structure;
-    std::string text;
 };
 
 /// One variant on one workload.
@@ -106,9 +104,7 @@ class Run {
 
     void build(const Variant& variant) {
         progress_.step("building " + variant.name);
-        Built built{&variant, assemble(scene_, variant.plan), {}, {}};
-        built.structure = total_statistics(*built.assembly.root);
-        built.text = describe(*built.assembly.root);
+        Built built{&variant, assemble(scene_, variant.plan)};
         for (const std::string& warning : built.assembly.warnings)
             output_.notes.push_back(variant.name + ": " + warning);
         built_.push_back(std::move(built));
@@ -131,6 +127,7 @@ class Run {
         any_ = workload.any;
         std::vector<Trial> trials;
         for (const Built& built : built_) trials.push_back(plan_trial(built, workload));
+        if (spec_.run.first_image > 0) time_first_images(trials);
         check(trials, workload);
         time(trials, workload);
         for (Trial& trial : trials) finish(trial, index);
@@ -159,6 +156,21 @@ class Run {
     }
     std::span<const Ray> checked_rays(const Trial& trial) const {
         return trial.check_all ? std::span<const Ray>(rays_) : timed_rays(trial);
+    }
+
+    /// Builds every variant anew and traces all rays once, in turns.
+    void time_first_images(std::vector<Trial>& trials) {
+        progress_.step("timing first images", true);
+        std::vector<std::vector<double>> seconds(trials.size());
+        for (int64_t pass = 0; pass < spec_.run.first_image; ++pass)
+            for (size_t i = 0; i < trials.size(); ++i) {
+                const Assembly fresh = assemble(scene_, trials[i].built->spec->plan);
+                seconds[i].push_back(fresh.build_s +
+                                     timed_pass(*fresh.root, rays_, timed_tracing()));
+                trials[i].row.first_image_bytes = total_statistics(*fresh.root).bytes;
+            }
+        for (size_t i = 0; i < trials.size(); ++i)
+            trials[i].row.first_image_s = median_interval(seconds[i]).median;
     }
 
     /// Traces every variant once, which also warms it up, and compares with the fastest.
@@ -239,13 +251,13 @@ class Run {
     void describe_variant(const Built& built, Row& row) const {
         row.scene = scene_.name;
         row.variant = built.spec->name;
-        row.accelerator = built.text;
+        row.accelerator = describe(*built.assembly.root);
         row.triangles = statistics_.triangles_unique;
         row.triangles_instanced = statistics_.triangles_instanced;
         row.shapes = statistics_.shapes_unique;
         row.instances = statistics_.mesh_instances;
         row.build_s = built.assembly.build_s;
-        row.structure = built.structure;
+        row.structure = total_statistics(*built.assembly.root);
         row.expected_ns = built.assembly.root->expected_cost();
         row.repeats = spec_.run.repeats;
         row.threads = spec_.run.threads;

@@ -37,9 +37,16 @@ class Partition {
 
     std::vector<Part> run() {
         std::vector<Entry> entries;
-        entries.reserve(set_.size());
-        for (uint32_t i = 0; i < set_.size(); ++i)
-            if (set_.active(i)) entries.push_back({set_.bounds(i).center(), i});
+        entries.resize(set_.size());
+        parallel_for(entries.size(), parallel_size, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) {
+                const uint32_t shape = uint32_t(i);
+                const bool active = set_.active(shape);
+                entries[i].shape = active ? shape : no_id;
+                if (active) entries[i].center = set_.bounds(shape).center();
+            }
+        });
+        std::erase_if(entries, [](const Entry& e) { return e.shape == no_id; });
         parts_.resize(size_t(1) << halvings);
         cut(entries, 0, parts_.size());
         std::erase_if(parts_, [](const Part& p) { return p.shapes.empty(); });
@@ -98,6 +105,36 @@ class Partition {
     std::vector<Part> parts_;
 };
 
+struct Extent {
+    Bounds3 bounds;
+    uint64_t shapes = 0;  ///< active ones
+    double cost = 0;
+};
+
+template <class Set>
+Extent extent_of(const Set& set) {
+    constexpr size_t range = 1 << 15;
+    std::vector<Extent> parts((set.size() + range - 1) / range);
+    parallel_for(parts.size(), 1, [&](size_t begin, size_t end) {
+        for (size_t part = begin; part < end; ++part) {
+            const size_t last = std::min<size_t>(set.size(), (part + 1) * range);
+            for (size_t i = part * range; i < last; ++i) {
+                if (!set.active(uint32_t(i))) continue;
+                parts[part].bounds.extend(set.bounds(uint32_t(i)));
+                parts[part].cost += set.cost(uint32_t(i));
+                ++parts[part].shapes;
+            }
+        }
+    });
+    Extent all;
+    for (const Extent& part : parts) {
+        all.bounds.extend(part.bounds);
+        all.shapes += part.shapes;
+        all.cost += part.cost;
+    }
+    return all;
+}
+
 template <class Set>
 std::unique_ptr<Primitive> build_upper(const std::shared_ptr<const Set>& set,
                                        const LazyBuild& build, size_t whole_size,
@@ -107,7 +144,7 @@ std::unique_ptr<Primitive> build_upper(const std::shared_ptr<const Set>& set,
     for (Part& part : Partition<Set>(*set, whole_size).run()) {
         const size_t n = part.shapes.size();
         objects.push_back({std::make_shared<const LazyObject>(
-            part.bounds, n, guessed_cost(n, mean_cost),
+            part.bounds, n, guessed_cost(n, mean_cost), n * sizeof(uint32_t),
             [set, build, whole_size, mean_cost, shapes = std::move(part.shapes)] {
                 const auto inner = std::make_shared<const Set>(set->subset(shapes));
                 return build_upper(inner, build, whole_size, mean_cost);
@@ -132,8 +169,8 @@ double LazyObject::expected_cost() const { return built() ? built()->expected_co
 
 StructureStatistics LazyObject::statistics() const {
     StructureStatistics s;
-    s.bytes = sizeof(LazyObject);
-    if (!built()) s.N_V = 1, s.N_OIV = shapes_, s.bytes += shapes_ * sizeof(uint32_t);
+    s.bytes = sizeof(LazyObject) + bytes_;
+    if (!built()) s.N_V = 1, s.N_OIV = shapes_;
     return s;
 }
 
@@ -153,22 +190,14 @@ std::unique_ptr<Primitive> build_lazily(const PrimitiveSet& any_set, const LazyB
         [&]<class Set>(const std::shared_ptr<const Set>& set) -> std::unique_ptr<Primitive> {
             // What is wrong with a parameter must be said now, not by a ray.
             build(std::make_shared<const Set>(set->subset({})));
-            Bounds3 bounds;
-            double cost = 0;
-            uint64_t shapes = 0;
-            for (uint32_t i = 0; i < set->size(); ++i) {
-                if (!set->active(i)) continue;
-                bounds.extend(set->bounds(i));
-                cost += set->cost(i);
-                ++shapes;
-            }
-            if (shapes == 0) return build(set);
-            const double mean_cost = cost / double(shapes);
-            return std::make_unique<LazyObject>(bounds, shapes, guessed_cost(shapes, mean_cost),
-                                                [set, build, whole_size, mean_cost] {
-                                                    return build_upper(
-                                                        set, build, size_t(whole_size), mean_cost);
-                                                });
+            const Extent all = extent_of(*set);
+            if (all.shapes == 0) return build(set);
+            const double mean_cost = all.cost / double(all.shapes);
+            return std::make_unique<LazyObject>(
+                all.bounds, all.shapes, guessed_cost(all.shapes, mean_cost), set->bytes(),
+                [set, build, whole_size, mean_cost] {
+                    return build_upper(set, build, size_t(whole_size), mean_cost);
+                });
         },
         any_set);
 }

@@ -13,7 +13,7 @@ namespace crofton {
 /// Parameters that every accelerator has beside its own.
 struct LazyOptions {
     bool lazy = false;
-    int lazy_size = 4096;
+    int lazy_size = 1024;
 
     template <class V>
     void fields(V& v) {
@@ -33,9 +33,10 @@ class LazyObject final : public Primitive {
     /// @param bounds  of all shapes inside
     /// @param shapes  their number
     /// @param cost    nominal ns of a ray, until the structure is there to ask
-    LazyObject(const Bounds3& bounds, uint64_t shapes, double cost,
+    /// @param bytes   of what is kept to build from
+    LazyObject(const Bounds3& bounds, uint64_t shapes, double cost, uint64_t bytes,
                std::function<std::unique_ptr<Primitive>()> build)
-        : shapes_(shapes), cost_(cost), build_(std::move(build)) {
+        : shapes_(shapes), cost_(cost), bytes_(bytes), build_(std::move(build)) {
         set_bounds(bounds);
     }
     void closest_local(const LocalRay& ray, RayQuery& query) const override {
@@ -70,6 +71,7 @@ class LazyObject final : public Primitive {
 
     uint64_t shapes_;
     double cost_;
+    uint64_t bytes_;
     mutable std::mutex mutex_;
     mutable std::function<std::unique_ptr<Primitive>()> build_;  ///< empty once it has run
     mutable std::unique_ptr<Primitive> owner_;

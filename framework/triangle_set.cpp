@@ -23,6 +23,7 @@ TriangleSet TriangleSet::subset(std::span<const uint32_t> shapes) const {
     TriangleSet part;
     part.positions_ = positions_;
     part.vertices_ = vertices_;
+    part.part_ = true;
     part.triangles_.reserve(shapes.size());
     for (uint32_t i : shapes) part.triangles_.push_back(triangles_[i]);
     part.ids_ = ids_.subset(shapes);
@@ -42,7 +43,8 @@ Bounds3 TriangleSet::bounds(uint32_t i) const {
 double TriangleSet::cost(uint32_t) const { return cost_constants.triangle_block / 4; }
 
 uint64_t TriangleSet::bytes() const {
-    return positions_->size() * sizeof(Vec3f) + triangles_.size() * sizeof(Indices) + ids_.bytes();
+    const size_t vertices = part_ ? 0 : positions_->size();
+    return vertices * sizeof(Vec3f) + triangles_.size() * sizeof(Indices) + ids_.bytes();
 }
 
 Bounds3 TriangleSet::clipped_bounds(uint32_t i, const Bounds3& box) const {

@@ -39,6 +39,7 @@ class TriangleSet {
     /// Nominal nanoseconds of one test.
     double cost(uint32_t i) const;
     const IdTable& ids() const { return ids_; }
+    /// Vertices shared with a larger set not included.
     uint64_t bytes() const;
     /// A set with the same ids and no shapes: what a structure with its own copy keeps.
     TriangleSet ids_only() const { return TriangleSet({}, {}, ids_); }
@@ -54,6 +55,7 @@ class TriangleSet {
     }
     std::shared_ptr<const std::vector<Vec3f>> positions_;  ///< and one dummy at the end
     const Vec3f* vertices_ = nullptr;
+    bool part_ = false;  ///< the vertices are another set's
     std::vector<Indices> triangles_;
     IdTable ids_;
 };
