@@ -8,6 +8,7 @@ struct CostConstants {
     double node = 3.0;         ///< both children of a binary node
     double wide_node = 1.5;    ///< eight children at once, as a share of each binary node inside
     double plane = 1.5;        ///< a step down a tree of planes
+    double general_plane = 4.0;  ///< the same where the plane has any direction
     double octree_node = 5.0;  ///< three planes, eight children
     double triangle_gather = 5.0;  ///< four triangles by reference, before their test
     double cell = 3.5;             ///< a step to the next grid cell

@@ -32,6 +32,9 @@ class PolygonSet {
         return intersection(bounds(i), box);
     }
     double cost(uint32_t i) const;
+    std::span<const Vec3f> corners(uint32_t i) const {
+        return {corners_.data() + first_[i], first_[i + 1] - first_[i]};
+    }
     const IdTable& ids() const { return ids_; }
     uint64_t bytes() const;
 
