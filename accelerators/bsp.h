@@ -14,7 +14,7 @@ struct BspParameters {
     int bins = 32;
     int general_size = 128;
     int sampled_shapes = 32;
-    double empty_bonus = 0.0;
+    double empty_bonus = 0.2;
     MailboxMode mailbox = MailboxMode::automatic;
 
     template <class V>
@@ -33,7 +33,7 @@ struct BspParameters {
         v.integer("sampled_shapes", sampled_shapes, 1, 4096,
                   "of at most so many shapes of a cell, evenly");
         v.real("empty_bonus", empty_bonus, 0, 0.95,
-               "share taken off the cost of a plane that cuts off empty space");
+               "share taken off the cost of an axis-aligned plane that cuts off empty space");
         v.choice("mailbox", mailbox, {"off", "on", "auto"},
                  "test a shape once per ray; auto: where shapes are dear and repeat");
     }
@@ -76,6 +76,10 @@ struct Bsp {
     StructureStatistics stats;
 
     static Bsp build(const Set& set, const BspParameters& parameters);
+    template <class A>
+    void archive(A& a) {
+        a(nodes, planes, references, box, magnitude, diagonal, mailbox, cost, stats);
+    }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }

@@ -301,22 +301,32 @@ class PlaneSearch {
     }
 
   private:
-    double cost(double step, const Shares& share, const Side& below, const Side& above) const {
+    /// What a plane costs, and what cutting off empty space takes off the cost of its shapes.
+    struct Price {
+        double step, bonus;
+    };
+    Price price(uint32_t kind) const {
+        // A plane that is no axis's always finds a corner to cut off; a bonus would make a chain of
+        // these the best choice.
+        if (kind < 3) return {options_.costs.node, options_.empty_bonus};
+        return {kind == BspNode::general ? options_.general_node : options_.costs.node, 0};
+    }
+    double cost(const Price& price, const Shares& share, const Side& below,
+                const Side& above) const {
         const double shapes = share.below * options_.costs.leaf(below.sum, below.count) +
                               share.above * options_.costs.leaf(above.sum, above.count);
-        return step +
-               (below.count == 0 || above.count == 0 ? 1 - options_.empty_bonus : 1.0) * shapes;
+        return price.step + (below.count == 0 || above.count == 0 ? 1 - price.bonus : 1.0) * shapes;
     }
 
     /// Takes the plane if it is better; shapes in the plane go to the cheaper side.
-    void offer(double step, const Shares& share, const Side& below, const Side& flat,
+    void offer(const Price& price, const Shares& share, const Side& below, const Side& flat,
                const Side& above, Split plane, Split& best) const {
         plane.share = share;
-        plane.cost = cost(step, share, below + flat, above);
+        plane.cost = cost(price, share, below + flat, above);
         if (plane.cost < best.cost) best = plane;
         if (flat.count == 0) return;
         plane.flat_below = false;
-        plane.cost = cost(step, share, below, above + flat);
+        plane.cost = cost(price, share, below, above + flat);
         if (plane.cost < best.cost) best = plane;
     }
 
@@ -340,15 +350,16 @@ class PlaneSearch {
         }
         const Ruler ruler(cell_, box_, areas_ ? &*areas_ : nullptr, k, 4 * double(error),
                           ends.size());
+        const Price paid = price(plane.kind);
         Split best;
         const auto consider = [&](float d, const Side& below, const Side& flat, const Side& above) {
             if (!ruler.inside(d)) return;
             const Shares least = ruler.least(d);
-            const double bound = std::min(cost(options_.costs.node, least, below + flat, above),
-                                          cost(options_.costs.node, least, below, above + flat));
+            const double bound = std::min(cost(paid, least, below + flat, above),
+                                          cost(paid, least, below, above + flat));
             if (bound >= best.cost) return;
             plane.d = d;
-            offer(options_.costs.node, ruler.exact(d), below, flat, above, plane, best);
+            offer(paid, ruler.exact(d), below, flat, above, plane, best);
         };
         if (work_.size() > exact_size)
             sweep_bins(ends, consider);
@@ -474,11 +485,11 @@ class PlaneSearch {
             if (!low && !high) flat.add(1, p.cost);
         }
         // Areas are dear, and their shares sum to more than 1.
-        const double step = options_.general_node;
-        const double bound = std::min(std::min(cost(step, {1, 0}, below + flat, above),
-                                               cost(step, {0, 1}, below + flat, above)),
-                                      std::min(cost(step, {1, 0}, below, above + flat),
-                                               cost(step, {0, 1}, below, above + flat)));
+        const Price paid = price(BspNode::general);
+        const double bound = std::min(std::min(cost(paid, {1, 0}, below + flat, above),
+                                               cost(paid, {0, 1}, below + flat, above)),
+                                      std::min(cost(paid, {1, 0}, below, above + flat),
+                                               cost(paid, {0, 1}, below, above + flat)));
         if (bound >= best.cost) return;
         profile.look_along(*areas_, plane.n);
         if (!(profile.lowest() + 4 * tolerance_ < plane.d &&
@@ -486,7 +497,7 @@ class PlaneSearch {
             return;
         const AreaProfile::Parts parts = profile.at(plane.d);
         const double total = areas_->total();
-        offer(step, {parts.below / total, parts.above / total}, below, flat, above, plane, best);
+        offer(paid, {parts.below / total, parts.above / total}, below, flat, above, plane, best);
     }
 
     const BspShapes& shapes_;
