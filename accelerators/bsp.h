@@ -32,8 +32,9 @@ struct BspParameters {
                   "the shapes' own planes are tried in cells of at most so many shapes");
         v.integer("sampled_shapes", sampled_shapes, 1, 4096,
                   "of at most so many shapes of a cell, evenly");
-        v.real("empty_bonus", empty_bonus, 0, 0.95,
-               "share taken off the cost of an axis-aligned plane that cuts off empty space");
+        v.real(
+            "empty_bonus", empty_bonus, 0, 0.95,
+            "share taken off a plane that cuts off empty space, in cells that try the axes only");
         v.choice("mailbox", mailbox, {"off", "on", "auto"},
                  "test a shape once per ray; auto: where shapes are dear and repeat");
     }

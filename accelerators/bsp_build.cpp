@@ -261,6 +261,11 @@ class PlaneSearch {
           cell_(cell),
           box_(cell.box, options.costs, options.empty_bonus) {
         for (const Piece& p : work.pieces) sum_ += p.cost;
+        const BspPlanes planes = options.planes;
+        diagonal_ = planes == BspPlanes::kdop || planes == BspPlanes::all;
+        general_ = (planes == BspPlanes::polygons || planes == BspPlanes::all) &&
+                   work.size() <= size_t(options.general_size) && any_face();
+        slanted_ = diagonal_ || general_;
         if (!cell.is_box() || options.planes != BspPlanes::axis_aligned)
             areas_.emplace(cell.polyhedron(room_));
     }
@@ -268,18 +273,14 @@ class PlaneSearch {
     Split run() const {
         Split best;
         if (areas_ ? !(areas_->total() > 0) : box_.degenerate()) return best;
-        const bool diagonal =
-            options_.planes == BspPlanes::kdop || options_.planes == BspPlanes::all;
-        const bool general =
-            options_.planes == BspPlanes::polygons || options_.planes == BspPlanes::all;
         std::array<Split, bsp_directions> found;
-        const size_t n = diagonal ? bsp_directions : 3;
+        const size_t n = diagonal_ ? bsp_directions : 3;
         parallel_for(n, work_.size() >= parallel_size ? 1 : n, [&](size_t begin, size_t end) {
             for (size_t k = begin; k < end; ++k) found[k] = along(int(k));
         });
         for (size_t k = 0; k < n; ++k)
             if (found[k].cost < best.cost) best = found[k];
-        if (general && work_.size() <= size_t(options_.general_size)) try_shapes(best);
+        if (general_) try_shapes(best);
         return best;
     }
 
@@ -306,10 +307,8 @@ class PlaneSearch {
         double step, bonus;
     };
     Price price(uint32_t kind) const {
-        // A plane that is no axis's always finds a corner to cut off; a bonus would make a chain of
-        // these the best choice.
-        if (kind < 3) return {options_.costs.node, options_.empty_bonus};
-        return {kind == BspNode::general ? options_.general_node : options_.costs.node, 0};
+        if (kind == BspNode::general) return {options_.general_node, 0};
+        return {options_.costs.node, slanted_ ? 0 : options_.empty_bonus};
     }
     double cost(const Price& price, const Shares& share, const Side& below,
                 const Side& above) const {
@@ -424,6 +423,13 @@ class PlaneSearch {
         }
     }
 
+    bool any_face() const {
+        return std::any_of(work_.pieces.begin(), work_.pieces.end(), [&](const Piece& p) {
+            return shapes_.rounds.empty() ? !shapes_.outline(p.index).empty()
+                                          : !shapes_.rounds[p.index].axis.isZero(0);
+        });
+    }
+
     /// Planes of the shapes' own faces and edges.
     void try_shapes(Split& best) const {
         const size_t n = work_.size();
@@ -509,6 +515,10 @@ class PlaneSearch {
     Polyhedron room_;
     std::optional<CellAreas> areas_;  ///< where no box's closed form will do
     double sum_ = 0;
+    bool diagonal_, general_;  ///< which planes are tried
+    /// Any but axis-aligned ones. There is then nearly always a corner to cut off, so that a bonus
+    /// for empty space would make a chain of such cuts the best choice.
+    bool slanted_;
 };
 
 class Builder {

@@ -75,13 +75,13 @@ enum class BspPlanes {
 
 struct BspOptions {
     BspPlanes planes = BspPlanes::polygons;
-    int max_depth = 0;        ///< 0: 8 + 1.6·log2(shapes)
-    int max_leaf_size = 1;    ///< with so few references, a node is not split further
-    int bins = 32;            ///< planes per direction in cells of more than 256 shapes
-    int general_size = 128;   ///< shapes' own planes are tried in cells of so many shapes
-    int sampled_shapes = 32;  ///< of so many of them
-    double empty_bonus =
-        0.0;  ///< share taken off the cost of an axis-aligned plane that cuts off empty space
+    int max_depth = 0;         ///< 0: 8 + 1.6·log2(shapes)
+    int max_leaf_size = 1;     ///< with so few references, a node is not split further
+    int bins = 32;             ///< planes per direction in cells of more than 256 shapes
+    int general_size = 128;    ///< shapes' own planes are tried in cells of so many shapes
+    int sampled_shapes = 32;   ///< of so many of them
+    double empty_bonus = 0.0;  ///< share taken off a plane that cuts off empty space, in cells that
+                               ///< try the axes only
     double general_node = 4.0;  ///< nominal ns of a step at a plane of any direction
     TreeCosts costs;            ///< its node: a step at a plane of bsp_direction
 };
