@@ -6,7 +6,7 @@ packages=(
     g++ cmake ninja-build ccache git
     libtinygltf-dev libeigen3-dev catch2 libbenchmark-dev libtomlplusplus-dev libcli11-dev
     nlohmann-json3-dev libfmt-dev libtbb-dev libhwy-dev libxxhash-dev libstb-dev
-    libopenvdb-dev libnanovdb-dev libboost-iostreams-dev
+    libopenvdb-dev libnanovdb-dev libboost-iostreams-dev libboost-dev
     glmark2-data assimp-testmodels
 )
 

@@ -6,9 +6,8 @@
 #include "framework/triangle_set.h"
 
 namespace crofton {
-namespace {
 
-QuadricShape shape_of(const Quadric& quadric) {
+QuadricShape quadric_shape(const Quadric& quadric) {
     if (const Sphere* s = std::get_if<Sphere>(&quadric))
         return {QuadricKind::sphere, s->center, s->radius, Vec3f::Zero(), 0};
     if (const Cone* c = std::get_if<Cone>(&quadric))
@@ -16,8 +15,6 @@ QuadricShape shape_of(const Quadric& quadric) {
     const Disc& d = std::get<Disc>(quadric);
     return {QuadricKind::disc, d.center, d.radius, d.normal, d.inner_radius};
 }
-
-}  // namespace
 
 bool ShapeSetBuilder::add_mesh(uint32_t mesh, const Transform* world_from_object, uint32_t instance,
                                Kinds kinds) {
@@ -72,7 +69,7 @@ std::vector<PrimitiveSet> ShapeSetBuilder::take() {
     if (!quadrics_.empty()) {
         std::vector<QuadricShape> shapes;
         shapes.reserve(quadrics_.size());
-        for (const Quadric& q : quadrics_) shapes.push_back(shape_of(q));
+        for (const Quadric& q : quadrics_) shapes.push_back(quadric_shape(q));
         sets.push_back(std::make_shared<const QuadricSet>(std::move(shapes),
                                                           IdTable(std::move(quadric_runs_))));
     }

@@ -3,10 +3,14 @@
 #include <vector>
 
 #include "framework/primitive_sets.h"
+#include "framework/quadric_set.h"
 #include "framework/ray_query.h"
 #include "scenegraph/scene.h"
 
 namespace crofton {
+
+/// A scene's quadric as sets hold it.
+QuadricShape quadric_shape(const Quadric& quadric);
 
 /// Collects the geometries of meshes into one primitive set of each kind, with the ids that hits
 /// name.
