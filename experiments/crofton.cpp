@@ -19,6 +19,7 @@
 #include "experiments/results.h"
 #include "experiments/runner.h"
 #include "experiments/sweep.h"
+#include "experiments/verify.h"
 #include "framework/archive.h"
 #include "framework/error.h"
 
@@ -57,6 +58,12 @@ struct RenderArguments : StructureArguments {
     std::string eye, at, up;
     double fov = 0;
     int width = 640, height = 480;
+};
+
+struct VerifyArguments {
+    VerifyOptions options;
+    std::string accelerators, replay, failures = "verify_failures.jsonl";
+    bool json = false, quiet = false;
 };
 
 std::map<std::string, uint64_t> seeds_of(const ExperimentFile& file) {
@@ -206,6 +213,49 @@ int render(const RenderArguments& arguments) {
     return 0;
 }
 
+std::vector<std::string> split_names(const std::string& text) {
+    std::vector<std::string> names;
+    for (size_t begin = 0; begin < text.size();) {
+        const size_t end = std::min(text.find(',', begin), text.size());
+        if (end > begin) names.push_back(text.substr(begin, end - begin));
+        begin = end + 1;
+    }
+    return names;
+}
+
+int verify(VerifyArguments arguments) {
+    Progress progress(arguments.quiet);
+    arguments.options.accelerators = split_names(arguments.accelerators);
+    const bool again = !arguments.replay.empty();
+    const VerifyReport report =
+        again ? replay(arguments.replay, progress) : verify(arguments.options, progress);
+    const bool by_scene = again || arguments.options.scene.empty();
+    fmt::print("{}", arguments.json ? verify_json(report) : verify_text(report, by_scene));
+    if (report.faults() == 0) return 0;
+    if (!again) write_failing(arguments.failures, report.failing);
+    const std::string where = again ? arguments.replay : arguments.failures;
+    fmt::print(stderr, "{} faults; to see them again: crofton verify --replay {}\n",
+               report.faults(), where);
+    return check_failed;
+}
+
+void add_verify(CLI::App& app, VerifyArguments& a) {
+    CLI::App& sub = *app.add_subcommand(
+        "verify", "Compare every accelerator with exact arithmetic over rays that are hard");
+    sub.add_option("scene", a.options.scene,
+                   "File, procedural:NAME or catalogue:NAME; otherwise all of the catalogue");
+    sub.add_option("--accelerators", a.accelerators, "Names with commas between; otherwise all");
+    sub.add_option("--rays", a.options.rays, "In all, over scenes and recipes")
+        ->capture_default_str()
+        ->check(CLI::Range(uint64_t{1}, uint64_t{1} << 40));
+    sub.add_option("--seed", a.options.seed, "Of the rays")->capture_default_str();
+    sub.add_option("--failures", a.failures, "File for rays that made a fault, if there are any")
+        ->capture_default_str();
+    sub.add_option("--replay", a.replay, "Run the rays of such a file again");
+    sub.add_flag("--json", a.json, "As JSON");
+    sub.add_flag("--quiet", a.quiet, "No progress");
+}
+
 void add_run(CLI::App& app, RunArguments& a) {
     CLI::App& sub =
         *app.add_subcommand("run", "Run an experiment: build, check, time, count, draw");
@@ -291,12 +341,14 @@ int dispatch(int argc, char** argv) {
     RenderArguments render_arguments;
     BuildArguments build_arguments;
     ExportArguments export_arguments;
+    VerifyArguments verify_arguments;
     bool list_json = false;
     add_run(app, run_arguments);
     add_inspect(app, inspect_arguments);
     add_render(app, render_arguments);
     add_build(app, build_arguments);
     add_export(app, export_arguments);
+    add_verify(app, verify_arguments);
     CLI::App& list = *app.add_subcommand("list", "List accelerators, workloads and scenes");
     list.add_flag("--json", list_json, "As JSON");
     try {
@@ -311,6 +363,7 @@ int dispatch(int argc, char** argv) {
     if (app.got_subcommand("render")) return render(render_arguments);
     if (app.got_subcommand("build")) return build(build_arguments);
     if (app.got_subcommand("export")) return export_wireframes(export_arguments);
+    if (app.got_subcommand("verify")) return verify(verify_arguments);
     fmt::print("{}", list_json ? catalog_json() : catalog_text());
     return 0;
 }

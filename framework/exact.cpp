@@ -253,9 +253,8 @@ bool Oracle::allowed(const Ray& ray, const Hit& hit) const {
            (!hit.is_hit() || (hit.t >= ray.t_min && hit.t <= ray.t_max));
 }
 
-Judgement Oracle::judge(const Ray& ray, const Hit& hit) const {
+Judgement Oracle::judge(const Ray& ray, const Hit& hit, const Answer& truth) const {
     using Kind = Judgement::Kind;
-    const Answer truth = closest(ray);
     Judgement j;
     if (!hit.is_hit() && !truth.is_hit()) return j;
     if (!hit.is_hit()) {
@@ -278,9 +277,9 @@ Judgement Oracle::judge(const Ray& ray, const Hit& hit) const {
     return j;
 }
 
-Judgement Oracle::judge(const Ray& ray, bool occluded) const {
+Judgement Oracle::judge(const Ray& ray, bool occluded, const Answer& truth) const {
     Judgement j;
-    if (occluded == any(ray)) return j;
+    if (occluded == truth.is_hit()) return j;
     j.kind = occluded ? Judgement::Kind::false_hit : Judgement::Kind::false_miss;
     if (is_void(ray)) {
         j.inside_margin = false;

@@ -96,8 +96,9 @@ class Oracle {
     double margin(const Ray& ray) const;
 
     /// Compares the library's answers with the truth.
-    Judgement judge(const Ray& ray, const Hit& hit) const;
-    Judgement judge(const Ray& ray, bool occluded) const;
+    /// @param truth  closest(ray)
+    Judgement judge(const Ray& ray, const Hit& hit, const Answer& truth) const;
+    Judgement judge(const Ray& ray, bool occluded, const Answer& truth) const;
 
     /// Number of surfaces that the ray crosses, if no leaf test can see it otherwise: odd from the
     /// inside of closed surfaces.
