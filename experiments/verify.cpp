@@ -171,6 +171,7 @@ std::vector<std::string> scene_names(const VerifyOptions& options) {
 
 void UlpCounts::add(double ulps) {
     largest_ = std::max(largest_, ulps);
+    ulps = std::ceil(ulps);
     if (ulps < double(exact_.size()))
         ++exact_[size_t(ulps)];
     else

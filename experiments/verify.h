@@ -19,7 +19,7 @@ struct VerifyOptions {
     uint64_t seed = 1;
 };
 
-/// Counts of errors in t, in ulp.
+/// Counts of errors in t, in ulp: see exact::Judgement.
 class UlpCounts {
   public:
     void add(double ulps);
@@ -89,7 +89,8 @@ VerifyReport verify(const VerifyOptions& options, Progress& progress);
 /// @throws InputError  no such file, a line that cannot be read (with its number)
 VerifyReport replay(const std::string& file, Progress& progress);
 VerifyReport replay(const std::vector<FailingRay>& rays, Progress& progress);
-/// @throws InputError  the file cannot be written
+/// @throws InputError  the file cannot be read, or not written
+std::vector<FailingRay> read_failing(const std::string& file);
 void write_failing(const std::string& file, const std::vector<FailingRay>& rays);
 
 /// A table, and the totals of each accelerator.

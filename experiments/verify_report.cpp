@@ -53,7 +53,7 @@ void print_line(std::string& text, const std::string& name, const std::string& a
                 const VerifyTally& t) {
     text += fmt::format(
         "{:<26} {:<16} {:>9} {:>9} {:>5} {:>9} {:>9} {:>9} {:>7} {:>6} {:>4} {:>4} "
-        "{:>6} {:>7}\n",
+        "{:>6} {:>9.3g}\n",
         name, accelerator, t.rays, t.hits, t.leaks, split_text(t.false_misses),
         split_text(t.false_hits), split_text(t.wrong_primitives), split_text(t.wrong_t),
         t.disagreements, t.t_ulp.quantile(0.5), t.t_ulp.quantile(0.99), t.t_ulp.quantile(0.999),
@@ -118,30 +118,11 @@ Ray ray_of(const Json& list) {
     return {{f[0], f[1], f[2]}, f[3], {f[4], f[5], f[6]}, f[7]};
 }
 
-std::vector<FailingRay> read_failing(const std::string& file) {
-    std::ifstream in(file);
-    if (!in) throw InputError(file + ": no such file, or it cannot be read");
-    std::vector<FailingRay> rays;
-    std::string line;
-    for (size_t number = 1; std::getline(in, line); ++number) {
-        if (line.empty()) continue;
-        try {
-            const Json json = Json::parse(line);
-            rays.push_back({json.at("scene"), json.at("recipe"), json.at("accelerator"),
-                            json.at("kind"), ray_of(json.at("ray")), json.at("must_hit")});
-        } catch (const std::exception&) {
-            throw InputError(fmt::format("{}:{}: not a line of a file that `crofton verify` wrote",
-                                         file, number));
-        }
-    }
-    return rays;
-}
-
 }  // namespace
 
 std::string verify_text(const VerifyReport& report, bool by_scene) {
     std::string text = fmt::format(
-        "{:<26} {:<16} {:>9} {:>9} {:>5} {:>9} {:>9} {:>9} {:>7} {:>6} {:>4} {:>4} {:>6} {:>7}\n",
+        "{:<26} {:<16} {:>9} {:>9} {:>5} {:>9} {:>9} {:>9} {:>7} {:>6} {:>4} {:>4} {:>6} {:>9}\n",
         "case", "accelerator", "rays", "hits", "leaks", "f.miss", "f.hit", "wr.prim", "wrong t",
         "bits", "p50", "p99", "p99.9", "max ulp");
     std::vector<Row> rows;
@@ -186,6 +167,25 @@ void write_failing(const std::string& file, const std::vector<FailingRay>& rays)
     }
     out.flush();
     if (!out) throw InputError(file + ": cannot be written");
+}
+
+std::vector<FailingRay> read_failing(const std::string& file) {
+    std::ifstream in(file);
+    if (!in) throw InputError(file + ": no such file, or it cannot be read");
+    std::vector<FailingRay> rays;
+    std::string line;
+    for (size_t number = 1; std::getline(in, line); ++number) {
+        if (line.empty()) continue;
+        try {
+            const Json json = Json::parse(line);
+            rays.push_back({json.at("scene"), json.at("recipe"), json.at("accelerator"),
+                            json.at("kind"), ray_of(json.at("ray")), json.at("must_hit")});
+        } catch (const std::exception&) {
+            throw InputError(fmt::format("{}:{}: not a line of a file that `crofton verify` wrote",
+                                         file, number));
+        }
+    }
+    return rays;
 }
 
 VerifyReport replay(const std::string& file, Progress& progress) {

@@ -1,7 +1,6 @@
 #include "framework/exact.h"
 
 #include <algorithm>
-#include <bit>
 
 #include "framework/exact_polygon.h"
 #include "framework/exact_quadric.h"
@@ -17,13 +16,15 @@ bool is_void(const Ray& ray) {
            !(ray.t_min <= ray.t_max);
 }
 
-/// Floats between a and b, both finite or infinite.
-double ulps(float a, float b) {
-    const auto ordinal = [](float f) {
-        const int32_t bits = std::bit_cast<int32_t>(f);
-        return bits >= 0 ? int64_t(bits) : -int64_t(bits & 0x7fffffff);
-    };
-    return double(std::abs(ordinal(a) - ordinal(b)));
+/// |a - b| in ulps: of the larger t, or of the t at which the ray is as far from its origin as that
+/// is from zero, if that is larger: the coordinates of what is hit there have no finer ones.
+double ulps(float a, float b, const Ray& ray) {
+    if (a == b) return 0;
+    const float largest = std::max(std::abs(a), std::abs(b));
+    const double scale = std::max(double(largest), double(ray.origin.cwiseAbs().maxCoeff()) /
+                                                       double(ray.direction.cwiseAbs().maxCoeff()));
+    const int exponent = std::max(std::ilogb(scale), -126);
+    return std::ldexp(std::abs(double(a) - double(b)), 23 - exponent);
 }
 
 bool same_id(const Hit& a, const Hit& b) {
@@ -239,18 +240,21 @@ bool Oracle::any(const Ray& ray) const {
 }
 
 /// Whether some shapes within the leaf tests' bounds give this answer: the hit must be a candidate,
-/// and nothing that must be found may come surely before it.
+/// and nothing that must be found may come surely before it. A t of infinity stands for all that no
+/// float holds.
 bool Oracle::allowed(const Ray& ray, const Hit& hit) const {
+    if (hit.is_hit() && !(hit.t >= ray.t_min && hit.t <= ray.t_max)) return false;
     const DoubleRay r(ray);
-    const double t = hit.is_hit() ? double(hit.t) : INFINITY;
+    const double t_high = hit.is_hit() ? double(hit.t) : INFINITY;
+    const double t_low =
+        hit.is_hit() ? std::min<double>(hit.t, std::numeric_limits<float>::max()) : INFINITY;
     bool possible = !hit.is_hit(), passed_over = false;
-    const double t_end = std::min(r.t_max, t);
+    const double t_end = std::min(r.t_max, t_high);
     visit(r, 1, t_end, [&](const Reference& reference, const Candidate& c) {
-        if (same_id(id(reference), hit) && c.lo <= t && t <= c.hi) possible = true;
-        if (c.sure && c.lo >= r.t_min && c.hi <= r.t_max && c.hi < t) passed_over = true;
+        if (same_id(id(reference), hit) && c.lo <= t_high && t_low <= c.hi) possible = true;
+        if (c.sure && c.lo >= r.t_min && c.hi <= r.t_max && c.hi < t_low) passed_over = true;
     });
-    return possible && !passed_over &&
-           (!hit.is_hit() || (hit.t >= ray.t_min && hit.t <= ray.t_max));
+    return possible && !passed_over;
 }
 
 Judgement Oracle::judge(const Ray& ray, const Hit& hit, const Answer& truth) const {
@@ -264,11 +268,8 @@ Judgement Oracle::judge(const Ray& ray, const Hit& hit, const Answer& truth) con
     } else if (!truth.has(hit)) {
         j.kind = Kind::wrong_primitive;
     } else {
-        // Half of what every leaf test's bound on t allows needs no look at the shape.
-        constexpr double few = 2;
-        j.t_ulp = ulps(hit.t, truth.t());
-        const bool in_interval = hit.t >= ray.t_min && hit.t <= ray.t_max;
-        if ((j.t_ulp <= few && in_interval) || allowed(ray, hit)) return j;
+        j.t_ulp = ulps(hit.t, truth.t(), ray);
+        if (hit.t == truth.t() || allowed(ray, hit)) return j;
         j.kind = Kind::wrong_t;
         j.inside_margin = false;
         return j;

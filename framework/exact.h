@@ -37,7 +37,8 @@ struct Judgement {
     /// Whether the leaf tests' stated bounds (framework/exact_shapes.h) allow the answer. What is
     /// not right and not inside the margin is a fault.
     bool inside_margin = true;
-    /// Of the right primitive's t: floats between it and the exact one.
+    /// Error of the right primitive's t, in ulps of t or, if they are larger, of the origin's
+    /// largest coordinate in units of t.
     double t_ulp = 0;
 
     bool is_fault() const { return kind != Kind::right && !inside_margin; }

@@ -69,12 +69,15 @@ bool PolygonSet::intersect(uint32_t i, const LocalRay& ray, const RayQuery& quer
         x = (corners_[k][kx] - o[kx]) - sx * z;
         y = (corners_[k][ky] - o[ky]) - sy * z;
     };
-    // Crossings of the positive x axis, half-open in y so that a corner counts once.
+    // Crossings of the positive x axis, half-open in y so that a corner counts once. Corners and
+    // edges on the axis are not crossed, and need a look of their own.
     bool inside = false;
     double ax, ay, bx, by;
     sheared(end - 1, ax, ay);
     for (uint32_t k = begin; k < end; ++k, ax = bx, ay = by) {
         sheared(k, bx, by);
+        if (ay == 0 && by == 0 && ax * bx <= 0) return true;
+        if (bx == 0 && by == 0) return true;
         if ((ay > 0) == (by > 0)) continue;
         // The edge is taken upwards, so that both polygons at it compute the same number.
         const double side = by > ay ? ax * by - bx * ay : bx * ay - ax * by;

@@ -57,7 +57,7 @@ bool intersect_cone(const QuadricShape& s, const DoubleRay& ray, const RayQuery&
     const Vec3d base = s.p.cast<double>();
     Vec3d axis = s.q.cast<double>() - base;
     const double height = axis.norm();
-    if (!(height > 0)) return false;
+    if (!(height > 0) || !(s.p_radius > 0 || s.q_radius > 0)) return false;
     axis /= height;
     const double r0 = s.p_radius, k = (double(s.q_radius) - r0) / height;
 
@@ -83,7 +83,7 @@ bool intersect_cone(const QuadricShape& s, const DoubleRay& ray, const RayQuery&
 bool intersect_disc(const QuadricShape& s, const DoubleRay& ray, const RayQuery& query, float& t) {
     const Vec3d n = s.q.cast<double>(), to_center = s.p.cast<double>() - ray.o;
     const double dn = ray.d.dot(n);
-    if (dn == 0) return false;
+    if (dn == 0 || !(s.p_radius > 0)) return false;
     const double hit = to_center.dot(n) / dn;
     const double r2 = (hit * ray.d - to_center).squaredNorm();
     const double outer = s.p_radius, inner = s.q_radius;

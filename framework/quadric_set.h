@@ -26,7 +26,8 @@ struct QuadricShape {
 };
 
 /// Spheres, cones, cylinders and discs. Both sides of every surface are hit. Tests run in double on
-/// the object-space ray; u = v = 0. A sphere of radius 0 is never hit. Shapes that are not finite
+/// the object-space ray; u = v = 0. A ray that lies in a surface does not hit it, and nothing of
+/// radius 0 is ever hit (a cone has a radius if one of its ends does). Shapes that are not finite
 /// or have a negative radius are inactive.
 class QuadricSet {
   public:

@@ -101,6 +101,27 @@ double TriangleLeaves::cost(double, uint32_t count) {
     return cost_constants.triangle_block * ((count + width - 1) / width);
 }
 
+namespace {
+
+/// Weights of the point of a triangle's edges that is nearest to the origin.
+void nearest_on_edges(const double (&x)[3], const double (&y)[3], double (&weights)[3]) {
+    double nearest = std::numeric_limits<double>::infinity();
+    for (int i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3;
+        const double dx = x[j] - x[i], dy = y[j] - y[i], length2 = dx * dx + dy * dy;
+        const double along = -(x[i] * dx + y[i] * dy);
+        const double s = length2 > 0 ? std::clamp(along / length2, 0.0, 1.0) : 0;
+        const double px = x[i] + s * dx, py = y[i] + s * dy, distance2 = px * px + py * py;
+        if (!(distance2 < nearest)) continue;
+        nearest = distance2;
+        weights[i] = 1 - s;
+        weights[j] = s;
+        weights[3 - i - j] = 0;
+    }
+}
+
+}  // namespace
+
 bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float& u, float& w) {
     const int k[3] = {q.kx, q.ky, q.kz};
     // The sheared corners, rounded as in the SIMD test: shared by all triangles at an edge, so that
@@ -126,18 +147,23 @@ bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float&
     const bool positive = e[0] > 0 || e[1] > 0 || e[2] > 0;
     if (negative == positive) return false;  // outside, edge-on (all zero), or NaN
 
-    double b[3] = {x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2], x[1] * y[0] - y[1] * x[0]};
-    double det = b[0] + b[1] + b[2];
-    // Where even double sees no area of the right sign, the rounded shear must do.
-    if (!((det > 0) == positive) || det == 0) {
-        std::copy(e, e + 3, b);
-        det = e[0] + e[1] + e[2];
-    }
+    const double b[3] = {x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2],
+                         x[1] * y[0] - y[1] * x[0]};
+    const double det = b[0] + b[1] + b[2];
+    const bool inside =
+        positive ? b[0] >= 0 && b[1] >= 0 && b[2] >= 0 : b[0] <= 0 && b[1] <= 0 && b[2] <= 0;
+    double weights[3] = {b[0] / det, b[1] / det, b[2] / det};
+    // Where double sees the ray pass outside, or too little area for weights, the boundary is
+    // within the rounding of the shear: its nearest point is the hit. (The plane would be met
+    // anywhere if it is seen edge-on; a structure may rely on a hit being a point of the triangle.)
+    const double reach = std::max({std::abs(x[0]), std::abs(x[1]), std::abs(x[2]), std::abs(y[0]),
+                                   std::abs(y[1]), std::abs(y[2])});
+    if (!inside || !(std::abs(det) > 0x1p-31 * reach * reach)) nearest_on_edges(x, y, weights);
     const double lo = std::min({z[0], z[1], z[2]}), hi = std::max({z[0], z[1], z[2]});
-    const double exact_t = (b[0] * z[0] + b[1] * z[1] + b[2] * z[2]) / det;
+    const double exact_t = weights[0] * z[0] + weights[1] * z[1] + weights[2] * z[2];
     t = float(std::clamp(exact_t, lo, hi));
-    u = float(std::clamp(b[1] / det, 0.0, 1.0));
-    w = float(std::clamp(b[2] / det, 0.0, 1.0));
+    u = float(std::clamp(weights[1], 0.0, 1.0));
+    w = float(std::clamp(weights[2], 0.0, 1.0));
     return true;
 }
 

@@ -94,7 +94,9 @@ class TriangleLeaves {
 /// double: for the rays that graze an edge or the plane. Sees the same rounded shear as the SIMD
 /// test.
 /// @param v  world-space vertices
-/// @return whether it is hit at any t; t within a float ulp unless the triangle is seen edge-on
+/// @return whether it is hit at any t. t, u, v are those of a point of the triangle that the ray
+///         passes at no more than the rounding of the shear: t is within a float ulp, unless the
+///         triangle is seen nearly edge-on
 bool refine_triangle(const float (&v)[3][3], const RayQuery& query, float& t, float& u, float& w);
 
 }  // namespace crofton

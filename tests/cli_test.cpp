@@ -68,7 +68,8 @@ const char* const small =
 
 TEST_CASE("cli: help is there for every command and exits with 0") {
     for (const char* arguments : {"--help", "run --help", "inspect --help", "render --help",
-                                  "build --help", "export --help", "list --help"}) {
+                                  "build --help", "export --help", "list --help",
+                                  "verify --help"}) {
         const Outcome outcome = run_crofton(arguments);
         INFO(arguments);
         CHECK(outcome.code == 0);
@@ -220,6 +221,40 @@ TEST_CASE("cli: a file of hits has 24 bytes a ray, and misses are marked") {
     CHECK(read[1].instance == crofton::no_id);
     std::ofstream(folder.path("rays.bin"), std::ios::binary | std::ios::app) << "x";
     CHECK(run_crofton("run " + config + " --out " + folder.path("out")).code == 2);
+}
+
+TEST_CASE("cli: verify exits with 0, with 1 on a fault, with 2 on bad input") {
+    Folder folder;
+    const std::string failures = " --failures " + folder.path("failures.jsonl");
+    const Outcome good = run_crofton(
+        "verify catalogue:fan_17 --accelerators bvh,kdtree --rays 300 --quiet --json" + failures);
+    INFO(good.out);
+    REQUIRE(good.code == 0);
+    const auto json = nlohmann::json::parse(good.out);
+    CHECK(json.at("rays") == 300);
+    for (const char* name : {"bvh", "kdtree"}) {
+        const auto& totals = json.at("accelerators").at(name);
+        CHECK(totals.at("rays") == 300);
+        CHECK(totals.at("leaks") == 0);
+        for (const char* key : {"false_misses", "false_hits", "wrong_primitives"})
+            CHECK(totals.at(key).at("outside") == 0);
+    }
+    CHECK(!fs::exists(folder.path("failures.jsonl")));
+    CHECK(run_crofton("verify procedural:stadium --rays 200 --quiet" + failures).code == 0);
+    // A ray that misses, said to come from inside of a closed ball.
+    const std::string file = folder.file(
+        "rays.jsonl",
+        "{\"scene\":\"catalogue:ball\",\"recipe\":\"vertex\",\"accelerator\":\"bvh\",\"kind\":"
+        "\"leak\",\"must_hit\":true,\"ray\":[\"40a00000\",\"40a00000\",\"40a00000\","
+        "\"00000000\",\"00000000\",\"00000000\",\"3f800000\",\"7f800000\"]}\n");
+    const Outcome leak = run_crofton("verify --quiet --replay " + file);
+    CHECK(leak.code == 1);
+    CHECK(leak.out.find("verify --replay " + file) != std::string::npos);
+    CHECK(run_crofton("verify --accelerators bvhh").out.find("did you mean 'bvh'") !=
+          std::string::npos);
+    for (const char* bad : {"verify catalogue:bal", "verify --accelerators bvhh", "verify --rays 0",
+                            "verify --replay /no/such.jsonl"})
+        CHECK(run_crofton(bad).code == 2);
 }
 
 TEST_CASE("cli: render writes pictures by normal and by cost") {

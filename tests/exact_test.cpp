@@ -615,4 +615,127 @@ TEST_CASE("exact: polygons agree with the even-odd rule in rational arithmetic")
     CHECK(hits > 300);
 }
 
+namespace {
+
+std::shared_ptr<const AcceleratorChoice> brute_force_choice() {
+    return std::make_shared<AcceleratorChoice>(
+        AcceleratorChoice{"brute_force", "brute_force", {}, nullptr});
+}
+
+/// A ball under three maps that float cannot hold, beside another.
+Scene mapped_scene() {
+    Scene scene;
+    TriangleMesh mesh;
+    test::icosphere(1, mesh.positions, mesh.triangles);
+    const Transform turn = rotation(Vec3d(1, 2, 3).normalized(), 0.7);
+    const uint32_t a = scene.add_node("a", {}, translation({0.1, 0.2, 0.3}) * turn);
+    const uint32_t b = scene.add_node("b", {}, scaling({1.1, -0.7, 0.9}), a);
+    const uint32_t ball = scene.add_object("ball", {"ball", 0, mesh}, turn, b);
+    scene.add_node("other", scene.nodes[ball].mesh, translation({1.3, 0, 0}), a);
+    return scene;
+}
+
+}  // namespace
+
+TEST_CASE(
+    "exact: where the margin is wide, the library's hit is the truth under both of its names") {
+    const Scene scene = mapped_scene();
+    const AssemblyPlan plan{.top = brute_force_choice(), .objects = brute_force_choice()};
+    const Assembly assembly = assemble(scene, plan);
+    const Oracle composed = make_oracle(scene),
+                 placed = make_oracle(scene, PlacementTruth::as_placed);
+    CHECK(composed.size() == placed.size());
+    const auto& mesh = std::get<TriangleMesh>(scene.geometries[0].shapes);
+    int wide = 0, same_bits = 0, hits = 0;
+    for (const Ray& ray : test::hard_rays(assembly.root->bounds(), mesh.positions, 17)) {
+        const Hit hit = assembly.root->intersect(ray);
+        for (const Oracle* oracle : {&composed, &placed}) {
+            const Answer truth = oracle->closest(ray);
+            CHECK(!oracle->judge(ray, hit, truth).is_fault());
+            if (is_void(ray) || oracle->margin(ray) < 1) continue;
+            ++wide;
+            REQUIRE(hit.is_hit() == truth.is_hit());
+            if (!hit.is_hit()) continue;
+            CHECK(truth.has(hit));
+            if (oracle != &placed) continue;
+            ++hits;
+            same_bits += hit.t == truth.t();
+        }
+    }
+    CHECK(wide > 500);
+    // t differs from the rounded exact one by few ulp, and mostly not at all.
+    CHECK(same_bits > hits / 2);
+}
+
+TEST_CASE("exact: wrong answers are told apart, and from those within the margin") {
+    PlainMesh two;
+    two.p = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, -1}, {1, 0, -1}, {0, 1, -1}};
+    two.t = {{0, 1, 2}, {3, 4, 5}};
+    const Oracle oracle = oracle_of({two});
+    const auto judge = [&](const Ray& ray, uint32_t primitive, float t) {
+        Hit hit;
+        if (primitive != no_id)
+            hit.primitive = primitive, hit.geometry = hit.instance = 0, hit.t = t;
+        return oracle.judge(ray, hit, oracle.closest(ray));
+    };
+    const Ray middle{{0.25f, 0.25f, 1}, 0, {0, 0, -1}}, outside{{2, 2, 1}, 0, {0, 0, -1}};
+    using Kind = Judgement::Kind;
+    const auto is_fault_of = [](const Judgement& j, Kind kind) {
+        return j.kind == kind && j.is_fault();
+    };
+    CHECK(judge(middle, 0, 1).kind == Kind::right);
+    CHECK(judge(outside, no_id, 0).kind == Kind::right);
+    CHECK(is_fault_of(judge(middle, no_id, 0), Kind::false_miss));
+    CHECK(is_fault_of(judge(outside, 0, 1), Kind::false_hit));
+    CHECK(is_fault_of(judge(middle, 1, 2), Kind::wrong_primitive));
+    CHECK(is_fault_of(judge(middle, 0, 1.001f), Kind::wrong_t));
+    CHECK(judge(middle, 0, std::nextafter(1.0f, 2.0f)).t_ulp == 1);
+    CHECK(oracle.judge(middle, false, oracle.closest(middle)).is_fault());
+    CHECK(oracle.judge(outside, true, oracle.closest(outside)).is_fault());
+    // 2^-22 from an edge, at a distance of 1: the shear's rounding can take the ray across.
+    const Ray near{{0.25f, 0x1p-22f, 1}, 0, {0, 0, -1}};
+    CHECK(judge(near, no_id, 0).kind == Kind::false_miss);
+    CHECK(!judge(near, no_id, 0).is_fault());
+    CHECK(!judge(near, 1, 2).is_fault());
+    const Ray beside{{0.25f, -0x1p-22f, 1}, 0, {0, 0, -1}};
+    CHECK(judge(beside, 0, 1).kind == Kind::false_hit);
+    CHECK(!judge(beside, 0, 1).is_fault());
+    CHECK(judge({{0.25f, -0x1p-18f, 1}, 0, {0, 0, -1}}, 0, 1).is_fault());
+}
+
+namespace {
+
+template <class Set>
+bool set_is_hit(const Set& set, const Ray& ray) {
+    return accelerator("brute_force").build(std::make_shared<const Set>(set), {})->occluded(ray);
+}
+
+}  // namespace
+
+TEST_CASE("polygons: a ray through any edge or corner is inside") {
+    // An octagon with integer corners, and edges in both axis directions.
+    const std::vector<Vec3f> corners{{-1, -2, 0}, {1, -2, 0}, {2, -1, 0}, {2, 1, 0},
+                                     {1, 2, 0},   {-1, 2, 0}, {-2, 1, 0}, {-2, -1, 0}};
+    const PolygonSet set(corners, {0, 8});
+    for (size_t k = 0; k < corners.size(); ++k) {
+        const Vec3f middle = 0.5f * (corners[k] + corners[(k + 1) % 8]);
+        INFO(k);
+        CHECK(set_is_hit(set, {corners[k] + Vec3f(0, 0, 1), 0, {0, 0, -1}}));
+        CHECK(set_is_hit(set, {middle + Vec3f(0, 0, 1), 0, {0, 0, -1}}));
+        const Vec3f off = middle * (1 + 0x1p-20f);
+        CHECK(!set_is_hit(set, {off + Vec3f(0, 0, 1), 0, {0, 0, -1}}));
+    }
+}
+
+TEST_CASE("quadrics: nothing of radius 0 is hit") {
+    const QuadricSet set({{QuadricKind::sphere, {0, 0, 0}, 0, {0, 0, 0}, 0},
+                          {QuadricKind::disc, {3, 0, 0}, 0, {0, 0, 1}, 0},
+                          {QuadricKind::cone, {6, 0, -1}, 0, {6, 0, 1}, 0}});
+    for (float x : {0.0f, 3.0f, 6.0f}) {
+        CHECK(!set_is_hit(set, {{x, 0, 5}, 0, {0, 0, -1}}));
+        CHECK(!set_is_hit(set, {{x, 5, 0}, 0, {0, -1, 0}}));
+        CHECK(!set_is_hit(set, {{x + 1, 1, 1}, 0, {-1, -1, -1}}));
+    }
+}
+
 }  // namespace crofton

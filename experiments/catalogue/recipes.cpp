@@ -153,7 +153,11 @@ AimedRay scaled_direction_ray(const AimPoints& aim, const exact::Oracle& oracle,
     AimedRay r = rng.next() & 1 ? edge_ray(aim, oracle, rng) : random_ray(aim, oracle, rng);
     const Vec3d d = r.ray.direction.cast<double>();
     if (d.isZero(0)) return r;
-    r.ray.direction = float_of(d.stableNormalized() * sizes[rng.below(6)]);
+    // t itself must stay a float.
+    const double longest = size_of(aim) + d.stableNorm();
+    double size = sizes[rng.below(6)];
+    if (longest / size > 1e36 || longest / size < 1e-36) size = 1;
+    r.ray.direction = float_of(d.stableNormalized() * size);
     return r;
 }
 
