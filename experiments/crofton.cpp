@@ -13,6 +13,7 @@
 #include "experiments/export.h"
 #include "experiments/image.h"
 #include "experiments/inspect.h"
+#include "experiments/minimise.h"
 #include "experiments/progress.h"
 #include "experiments/random.h"
 #include "experiments/report.h"
@@ -62,7 +63,7 @@ struct RenderArguments : StructureArguments {
 
 struct VerifyArguments {
     VerifyOptions options;
-    std::string accelerators, replay, failures = "verify_failures.jsonl";
+    std::string accelerators, replay, minimised, failures = "verify_failures.jsonl";
     bool json = false, quiet = false;
 };
 
@@ -227,6 +228,11 @@ int verify(VerifyArguments arguments) {
     Progress progress(arguments.quiet);
     arguments.options.accelerators = split_names(arguments.accelerators);
     const bool again = !arguments.replay.empty();
+    if (!arguments.minimised.empty()) {
+        if (!again) throw InputError("--minimise needs --replay FILE");
+        fmt::print("{}\n", minimise_to_files(read_failing(arguments.replay), arguments.minimised));
+        return 0;
+    }
     const VerifyReport report =
         again ? replay(arguments.replay, progress) : verify(arguments.options, progress);
     const bool by_scene = again || arguments.options.scene.empty();
@@ -252,6 +258,8 @@ void add_verify(CLI::App& app, VerifyArguments& a) {
     sub.add_option("--failures", a.failures, "File for rays that made a fault, if there are any")
         ->capture_default_str();
     sub.add_option("--replay", a.replay, "Run the rays of such a file again");
+    sub.add_option("--minimise", a.minimised,
+                   "With --replay: shrink its first failing scene and ray; OBJ file to write");
     sub.add_flag("--json", a.json, "As JSON");
     sub.add_flag("--quiet", a.quiet, "No progress");
 }

@@ -26,14 +26,6 @@ constexpr size_t brute_force_limit = 20000;
 constexpr size_t chunk_size = 256;
 const std::string catalogue_prefix = "catalogue:";
 
-Scene scene_named(const std::string& name) {
-    if (name.starts_with(catalogue_prefix))
-        return catalogue_scene(name.substr(catalogue_prefix.size()));
-    SceneSpec spec;
-    spec.base = scene_source(name);
-    return make_scene(spec);
-}
-
 std::vector<std::string> checked_accelerators(const std::vector<std::string>& names) {
     for (const std::string& name : names) accelerator(name);
     return names.empty() ? accelerator_names() : names;
@@ -169,6 +161,14 @@ std::vector<std::string> scene_names(const VerifyOptions& options) {
 
 }  // namespace
 
+Scene verify_scene(const std::string& name) {
+    if (name.starts_with(catalogue_prefix))
+        return catalogue_scene(name.substr(catalogue_prefix.size()));
+    SceneSpec spec;
+    spec.base = scene_source(name);
+    return make_scene(spec);
+}
+
 void UlpCounts::add(double ulps) {
     largest_ = std::max(largest_, ulps);
     ulps = std::ceil(ulps);
@@ -247,7 +247,7 @@ VerifyReport verify(const VerifyOptions& options, Progress& progress) {
     Verification verification(report);
     for (size_t s = 0; s < names.size(); ++s) {
         progress.step("verifying " + names[s]);
-        const Scene scene = scene_named(names[s]);
+        const Scene scene = verify_scene(names[s]);
         std::vector<std::string> used = accelerators;
         const SceneStatistics statistics = crofton::statistics(scene);
         if (options.accelerators.empty() && statistics.shapes_instanced > brute_force_limit) {
@@ -290,7 +290,7 @@ VerifyReport replay(const std::vector<FailingRay>& rays, Progress& progress) {
             batch.push_back({rays[end].ray, rays[end].must_hit});
         std::vector<std::string> used{"brute_force"};
         if (first.accelerator != used[0]) used.push_back(first.accelerator);
-        const Bench bench(first.scene, scene_named(first.scene), checked_accelerators(used));
+        const Bench bench(first.scene, verify_scene(first.scene), checked_accelerators(used));
         verification.begin(bench, first.recipe);
         verification.check(bench, first.recipe, batch);
         begin = end;

@@ -9,6 +9,7 @@
 #include "experiments/progress.h"
 #include "framework/exact.h"
 #include "framework/ray.h"
+#include "scenegraph/scene.h"
 
 namespace crofton {
 
@@ -80,6 +81,10 @@ struct VerifyReport {
     static constexpr size_t most_failing = 10000;
     uint64_t faults() const;
 };
+
+/// What `verify` calls a scene.
+/// @throws InputError  unknown, with the nearest valid name
+Scene verify_scene(const std::string& name);
 
 /// Traces hard rays with every accelerator and compares each answer with the oracle's.
 /// @throws InputError  unknown scene or accelerator, with the nearest valid name

@@ -640,7 +640,8 @@ Scene mapped_scene() {
 TEST_CASE(
     "exact: where the margin is wide, the library's hit is the truth under both of its names") {
     const Scene scene = mapped_scene();
-    const AssemblyPlan plan{.top = brute_force_choice(), .objects = brute_force_choice()};
+    AssemblyPlan plan;
+    plan.top = plan.objects = brute_force_choice();
     const Assembly assembly = assemble(scene, plan);
     const Oracle composed = make_oracle(scene),
                  placed = make_oracle(scene, PlacementTruth::as_placed);

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "experiments/catalogue/scenes.h"
+#include "experiments/minimise.h"
 #include "framework/error.h"
 #include "framework/parallel.h"
 #include "framework/registry.h"
@@ -14,6 +15,11 @@
 
 namespace crofton {
 namespace {
+
+VerifyOptions of(std::string scene, std::vector<std::string> accelerators, uint64_t rays = 100,
+                 uint64_t seed = 1) {
+    return {std::move(scene), std::move(accelerators), rays, seed};
+}
 
 std::string error_of(const VerifyOptions& options) {
     try {
@@ -42,7 +48,7 @@ std::string kinds(const VerifyReport& report) {
 }  // namespace
 
 TEST_CASE("verify: no accelerator has a fault in the catalogue") {
-    const VerifyReport report = run({.rays = 6000, .seed = 3});
+    const VerifyReport report = run(of("", {}, 6000, 3));
     INFO(kinds(report));
     CHECK(report.faults() == 0);
     CHECK(report.rays == 6000);
@@ -71,7 +77,7 @@ TEST_CASE("verify: what was a fault once is none in any accelerator") {
 }
 
 TEST_CASE("verify: the same seed gives the same figures, with one thread and with two") {
-    const VerifyOptions options{.scene = "catalogue:ball", .rays = 3000, .seed = 5};
+    const VerifyOptions options = of("catalogue:ball", {}, 3000, 5);
     set_threads(1);
     const std::string one = verify_json(run(options));
     set_threads(2);
@@ -84,11 +90,11 @@ TEST_CASE("verify: the same seed gives the same figures, with one thread and wit
 }
 
 TEST_CASE("verify: unknown names are refused with the nearest valid one") {
-    CHECK(error_of({.accelerators = {"bvhh"}}).find("did you mean 'bvh'") != std::string::npos);
-    CHECK(error_of({.scene = "catalogue:bal"}).find("did you mean 'ball'") != std::string::npos);
-    CHECK(error_of({.scene = "procedural:stadum"}).find("did you mean 'stadium'") !=
+    CHECK(error_of(of("", {"bvhh"})).find("did you mean 'bvh'") != std::string::npos);
+    CHECK(error_of(of("catalogue:bal", {})).find("did you mean 'ball'") != std::string::npos);
+    CHECK(error_of(of("procedural:stadum", {})).find("did you mean 'stadium'") !=
           std::string::npos);
-    CHECK(error_of({.scene = "/no/such.obj"}).find("/no/such.obj") != std::string::npos);
+    CHECK(error_of(of("/no/such.obj", {})).find("/no/such.obj") != std::string::npos);
 }
 
 TEST_CASE("verify: failing rays are written and read back bit for bit, and a leak is a fault") {
@@ -140,6 +146,46 @@ TEST_CASE("verify: quantiles of errors in t") {
     CHECK(counts.quantile(0.999) == 3);
     CHECK(counts.quantile(1) == 1000);
     CHECK(counts.largest() == 1000);
+}
+
+TEST_CASE("verify: the minimiser leaves the triangles and digits that a failure takes") {
+    FailingCase start{placed_triangles(catalogue_scene("ball")), {}};
+    start.ray = {{0.123456f, 0.0432f, 9.87654f}, 0.001f, {0.0123f, 0.00321f, -1.2345f}, 100};
+    const TriangleMesh all = start.mesh;
+    // "Fails" while two given triangles are there and the ray goes down from above.
+    const auto corners_of = [](const TriangleMesh& mesh, size_t i) {
+        std::array<Vec3f, 3> v;
+        for (size_t k = 0; k < 3; ++k) v[k] = mesh.positions[mesh.triangles[i][k]];
+        return v;
+    };
+    const auto first = corners_of(all, 17), second = corners_of(all, 900);
+    const auto fails = [&](const FailingCase& c) {
+        bool a = false, b = false;
+        for (size_t i = 0; i < c.mesh.triangles.size(); ++i) {
+            a = a || corners_of(c.mesh, i) == first;
+            b = b || corners_of(c.mesh, i) == second;
+        }
+        return a && b && c.ray.direction[2] < 0 && c.ray.origin[2] > 9;
+    };
+    REQUIRE(fails(start));
+    const FailingCase small = minimise(start, fails);
+    CHECK(fails(small));
+    CHECK(small.mesh.triangles.size() == 2);
+    CHECK(small.mesh.positions.size() <= 6);
+    CHECK(small.ray.origin == Vec3f(0, 0, 10));
+    CHECK(small.ray.direction == Vec3f(0, 0, -1));
+    CHECK(small.ray.t_min == 0);
+    CHECK(std::isinf(small.ray.t_max));
+}
+
+TEST_CASE("verify: placed triangles fail where the scene does, and a good ray has no fault") {
+    const TriangleMesh mesh = placed_triangles(catalogue_scene("instances"));
+    CHECK(mesh.triangles.size() == 6 * 80);
+    CHECK(!has_fault({mesh, {{5, 0.1f, 0.2f}, 0, {-1, 0, 0}}}, "bvh"));
+    const std::vector<FailingRay> rays{
+        {"catalogue:instances", "axis", "bvh", "leak", {{5, 0.1f, 0.2f}, 0, {-1, 0, 0}}, false}};
+    ScratchFile file("small.obj", "");
+    CHECK(minimise_to_files(rays, file.path()).find("nothing to minimise") != std::string::npos);
 }
 
 }  // namespace crofton
