@@ -88,10 +88,11 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
     q.instance = 0;
     q.hit_ids = nullptr;
 
-    // What the rounding of v - o in a leaf test amounts to where |o| dominates: see LocalRay.
+    // The rounding of v - o in a leaf test, and its error across a large triangle: see LocalRay.
     local.frame = nullptr;
-    complete(local, o, hn::LoadU(f4, q.direction), hn::Mul(hn::Abs(o), hn::Set(f4, 0x1p-21f)),
-             q.t_min, magnitude, 0x1p60f);
+    const auto pad =
+        hn::Add(hn::Mul(hn::Abs(o), hn::Set(f4, 0x1p-21f)), hn::Set(f4, 0x1p-20f * magnitude));
+    complete(local, o, hn::LoadU(f4, q.direction), pad, q.t_min, magnitude, 0x1p60f);
     return true;
 }
 

@@ -29,10 +29,22 @@ struct InstanceFrame {
 ///
 /// A plane at b is met at fl(fl(b - near_origin)·rcp) or later and fl(fl(b - far_origin)·far_rcp)
 /// or earlier, the origins shifted by `pad` apart. The shift covers (a) the rounding of the origin,
-/// if it was transformed, (b) the error of a leaf test that works with fl(v - o), at most 4u·|v -
-/// o| per axis, where |o| dominates, (c) the replacement of 1/d by a finite number where d is 0 or
-/// tiny. What grows with |b - o| is covered by `box_slack`; since it shrinks a negative far
-/// distance, `pad` has that share too where t_min is negative.
+/// if it was transformed, (b) what a leaf test errs by, (c) the replacement of 1/d by a finite
+/// number where d is 0 or tiny.
+///
+/// As for (b): a test that works with s(v) = fl(fl(v_x - o_x) - fl(sx·fl(v_z - o_z))), z the main
+/// axis of the ray, accepts only rays that meet the triangle of such rounded corners. So there is a
+/// point p of the exact triangle, a mean of its corners, that the ray passes at no more than the
+/// mean of their errors: 2u·|v_x - o_x| + 5u·|sx|·|v_z - o_z| each. With |v - o| <= |v - p| + |p -
+/// o|, and |sx|·|p_z - o_z| = |p_x - o_x| on the ray, this is 7u·|p - o| per axis, and 7u times the
+/// triangle's extent on any axis, at most 14u·magnitude. `box_slack` covers what grows with |p -
+/// o|, and |o| has a share of `pad` for its rounding; for the extent, `pad` has 2^-20·magnitude in
+/// the world (in an instance its map's errors are larger than that). Nothing here asks that the box
+/// hold all of the triangle: it must hold p. Boxes of parts do as well, as long as the parts cover
+/// the triangle.
+///
+/// Since `box_slack` shrinks a negative far distance, `pad` has that share too where t_min is
+/// negative.
 struct LocalRay {
     // x, y, z, and a lane that means nothing.
     float origin[4];

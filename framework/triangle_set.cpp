@@ -56,10 +56,13 @@ Bounds3 TriangleSet::clipped_bounds(uint32_t i, const Bounds3& box) const {
         const int a = plane >> 1;
         const double sign = plane & 1 ? -1 : 1;
         const double at = plane & 1 ? -double(box.upper[a]) : double(box.lower[a]);
+        bool cut = false;
+        for (int k = 0; k < n; ++k) cut = cut || sign * polygon[k][a] < at;
+        if (!cut) continue;
         int m = 0;
         for (int k = 0; k < n; ++k) {
             const Vec3d& p = polygon[k];
-            const Vec3d& q = polygon[(k + 1) % n];
+            const Vec3d& q = polygon[k + 1 == n ? 0 : k + 1];
             const double dp = sign * p[a] - at, dq = sign * q[a] - at;
             if (dp >= 0) next[m++] = p;
             if ((dp < 0) != (dq < 0)) {
@@ -70,15 +73,19 @@ Bounds3 TriangleSet::clipped_bounds(uint32_t i, const Bounds3& box) const {
         n = m;
         std::copy(next, next + m, polygon);
     }
+    if (n == 0) return {};
+    Vec3d lower = polygon[0], upper = polygon[0];
+    for (int k = 1; k < n; ++k) {
+        lower = lower.cwiseMin(polygon[k]);
+        upper = upper.cwiseMax(polygon[k]);
+    }
     Bounds3 out;
-    for (int k = 0; k < n; ++k)
-        for (int a = 0; a < 3; ++a) {
-            // One float step outwards covers the rounding of the cut and of the conversion.
-            const float x = float(polygon[k][a]);
-            out.lower[a] = std::min(out.lower[a], std::nextafter(x, -INFINITY));
-            out.upper[a] = std::max(out.upper[a], std::nextafter(x, INFINITY));
-        }
-    return n > 0 ? intersection(out, intersection(box, bounds(i))) : Bounds3{};
+    for (int a = 0; a < 3; ++a) {
+        // One float step outwards covers the rounding of the cut and of the conversion.
+        out.lower[a] = std::nextafter(float(lower[a]), -INFINITY);
+        out.upper[a] = std::nextafter(float(upper[a]), INFINITY);
+    }
+    return intersection(out, intersection(box, bounds(i)));
 }
 
 uint32_t TriangleLeaves::add(const TriangleSet& set, std::span<const uint32_t> shapes) {

@@ -2,10 +2,13 @@
 // brute force: the same bits in t, u, v and the ids. A new accelerator is tested without a line
 // here.
 
+#include <cmath>
 #include <cstring>
+#include <map>
 
 #include "framework/parallel.h"
 #include "framework/registry.h"
+#include "framework/triangle_set.h"
 #include "tests/catch.h"
 #include "tests/hard_scenes.h"
 
@@ -112,6 +115,71 @@ TEST_CASE("no ray from inside a closed mesh gets out through a vertex or an edge
             INFO(name << " over " << scene.name);
             CHECK(leaks == 0);
         }
+    }
+}
+
+TEST_CASE("a ray that a large triangle's test accepts in its error finds it in every structure") {
+    // Triangles of 1e3 with an edge in an axis-aligned plane: rays begin a few 1e-5 outside that
+    // plane, where the box of the triangle, or of the part of it near the ray, ends.
+    const auto edge_triangles = [](test::Random& random) {
+        std::vector<Vec3f> corners;
+        for (uint32_t i = 0; i < 12; ++i) {
+            Vec3f a = random.point(1000), b = random.point(1000), c = random.point(1000);
+            const int axis = int(random.next() % 3);
+            a[axis] = b[axis] = random.uniform(-1, 1);
+            c[axis] = a[axis] - random.uniform(0, 2) * (random.next() & 1 ? 1.0f : 100.0f);
+            corners.insert(corners.end(), {a, b, c});
+        }
+        return corners;
+    };
+    // One shape a leaf, so that no neighbour's box helps; and every builder, cutting as it may.
+    const auto settings = [](const AcceleratorInfo& info) {
+        ParameterValues base;
+        std::vector<ParameterValues> list;
+        for (const ParameterInfo& p : info.parameters) {
+            if (p.name == "max_leaf_size") base[p.name] = int64_t(1);
+            if (p.name == "split_overlap") base[p.name] = 0.0;
+            if (p.name == "reference_budget") base[p.name] = p.maximum;
+        }
+        for (const ParameterInfo& p : info.parameters)
+            for (const std::string& choice : p.choices)
+                if (p.name == "builder") {
+                    list.push_back(base);
+                    list.back()[p.name] = choice;
+                }
+        if (list.empty()) list.push_back(base);
+        return list;
+    };
+    std::map<std::string, size_t> wrong;
+    test::Random random(5);
+    for (int scene = 0; scene < 150; ++scene) {
+        const std::vector<Vec3f> corners = edge_triangles(random);
+        std::vector<std::array<uint32_t, 3>> triangles;
+        for (uint32_t i = 0; i < 12; ++i) triangles.push_back({3 * i, 3 * i + 1, 3 * i + 2});
+        const PrimitiveSet set = std::make_shared<const TriangleSet>(corners, triangles);
+        const auto reference = accelerator("brute_force").build(set, {});
+        std::vector<Ray> rays(400);
+        for (Ray& ray : rays) {
+            const uint32_t t = random.next() % 12;
+            const Vec3f a = corners[3 * t], b = corners[3 * t + 1];
+            ray.direction = random.direction();
+            ray.origin = a + (b - a) * random.uniform() +
+                         random.point(std::pow(10.0f, random.uniform(-6, -4))) -
+                         ray.direction * std::pow(10.0f, random.uniform(-6, 0));
+        }
+        std::vector<Hit> expected;
+        for (const Ray& ray : rays) expected.push_back(reference->intersect(ray));
+        for (const auto& [name, info] : accelerators())
+            for (const ParameterValues& values : settings(info)) {
+                const auto tested = info.build(set, values);
+                size_t& count = wrong[name + text(values)];
+                for (size_t i = 0; i < rays.size(); ++i)
+                    count += !same_bits(expected[i], tested->intersect(rays[i]));
+            }
+    }
+    for (const auto& [name, count] : wrong) {
+        INFO(name);
+        CHECK(count == 0);
     }
 }
 
