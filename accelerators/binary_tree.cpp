@@ -1,207 +1,276 @@
 #include "accelerators/binary_tree.h"
 
 #include <algorithm>
-#include <array>
-#include <limits>
-#include <numeric>
 
-#include "framework/parallel.h"
+#include "accelerators/tree_build.h"
 
 namespace crofton {
 namespace {
 
-constexpr int max_bins = 64;
-constexpr int median_depth = 40;        // from here on, halves by count
-constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
+constexpr int rebuild_depth = 40;  // + 32 for halves of up to 2^32 leaves = BinaryTree::max_depth
+constexpr int parallel_depth = 6;  // nodes above it have their children done at once
+static_assert(rebuild_depth + 32 == BinaryTree::max_depth);
 
-struct Bin {
-    Bounds3 bounds;
-    uint32_t count = 0;
-    double cost = 0;
+constexpr size_t parallel_size = 8192;  // trees of fewer nodes are not worth tasks
 
-    void add(const BuildReference& r) {
-        bounds.extend(r.bounds);
-        ++count;
-        cost += r.cost;
-    }
-    void add(const Bin& b) {
-        bounds.extend(b.bounds);
-        count += b.count;
-        cost += b.cost;
-    }
-};
+/// Levels below each node, and depths; without recursion, for trees of any depth.
+struct Levels {
+    std::vector<uint32_t> parents_first;
+    std::vector<uint32_t> depth, height;
 
-struct Split {
-    double cost = std::numeric_limits<double>::infinity();
-    int axis = -1;
-    int bin = 0;  // references in bins < bin go left
-};
-
-/// Twice the centre of a box, on one axis; finite for all finite boxes up to FLT_MAX / 2.
-float centroid2(const BuildReference& r, int axis) {
-    return r.bounds.lower[axis] + r.bounds.upper[axis];
-}
-
-/// Bins of one range, on all three axes.
-struct Binning {
-    int bins;
-    Vec3f lower, scale;
-
-    Binning(const Bounds3& centroids, int n) : bins(n), lower(centroids.lower) {
-        for (int a = 0; a < 3; ++a) {
-            const float extent = centroids.upper[a] - centroids.lower[a];
-            const float s = float(n) * 0.999999f / extent;
-            scale[a] = extent > 0 && std::isfinite(s) ? s : 0.0f;
+    explicit Levels(const BinaryTree& tree) : depth(tree.nodes.size()), height(tree.nodes.size()) {
+        parents_first.reserve(tree.nodes.size());
+        std::vector<uint32_t> open{0};
+        while (!open.empty()) {
+            const uint32_t i = open.back();
+            open.pop_back();
+            parents_first.push_back(i);
+            const BinaryTree::Node& node = tree.nodes[i];
+            if (node.leaf()) continue;
+            for (const uint32_t child : {node.right, node.left}) {
+                depth[child] = depth[i] + 1;
+                open.push_back(child);
+            }
+        }
+        for (auto i = parents_first.rbegin(); i != parents_first.rend(); ++i) {
+            const BinaryTree::Node& node = tree.nodes[*i];
+            if (!node.leaf()) height[*i] = 1 + std::max(height[node.left], height[node.right]);
         }
     }
-    int of(const BuildReference& r, int axis) const {
-        const int bin = int((centroid2(r, axis) - lower[axis]) * scale[axis]);
-        return std::clamp(bin, 0, bins - 1);
-    }
 };
 
-using BinTable = std::array<std::array<Bin, max_bins>, 3>;
+bool is_too_deep(const BinaryTree& tree) {
+    std::vector<std::pair<uint32_t, int>> open{{0, 0}};
+    while (!open.empty()) {
+        const auto [i, depth] = open.back();
+        open.pop_back();
+        if (depth > BinaryTree::max_depth) return true;
+        const BinaryTree::Node& node = tree.nodes[i];
+        if (node.leaf()) continue;
+        open.emplace_back(node.right, depth + 1);
+        open.emplace_back(node.left, depth + 1);
+    }
+    return false;
+}
 
-class BinnedBuilder {
+/// Rebuilds one subtree as halves, from the same leaves and inner nodes.
+class Rebalance {
   public:
-    BinnedBuilder(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
-                  int max_leaf_size)
-        : refs_(std::move(references)),
-          costs_(costs),
-          bins_(std::min(bins, max_bins)),
-          max_leaf_size_(uint32_t(max_leaf_size)) {}
-
-    BinaryTree build() {
-        BinaryTree tree;
-        if (refs_.empty()) return tree;
-        tree.nodes.resize(2 * refs_.size() - 1);
-        nodes_ = tree.nodes.data();
-        build_range(0, refs_.size(), 0, 0);
-        tree.order.reserve(refs_.size());
-        for (const BuildReference& r : refs_) tree.order.push_back(r.shape);
-        return tree;
+    Rebalance(BinaryTree& tree, uint32_t root) : nodes_(tree.nodes) {
+        std::vector<uint32_t> open{root};
+        while (!open.empty()) {
+            const uint32_t i = open.back();
+            open.pop_back();
+            (nodes_[i].leaf() ? leaves_ : inner_).push_back(i);
+            if (nodes_[i].leaf()) continue;
+            open.push_back(nodes_[i].right);
+            open.push_back(nodes_[i].left);
+        }
+        // The root is the first inner node taken, so it stays where its parent looks for it.
+        next_inner_ = 0;
+        halve(0, leaves_.size());
     }
 
   private:
-    /// A subtree of n references uses at most 2n - 1 nodes from `node` on: a fixed place, whichever
-    /// thread builds it.
-    void build_range(size_t begin, size_t end, size_t node, int depth) {
-        const size_t n = end - begin;
-        Bounds3 bounds, centroids;
-        double cost_sum = 0;
-        measure(begin, end, bounds, centroids, cost_sum);
-        nodes_[node].bounds = bounds;
-
-        size_t middle = begin;
-        if (n > 1) middle = partition(begin, end, bounds, centroids, cost_sum, depth);
-        if (middle == begin) {
-            nodes_[node].first = uint32_t(begin);
-            nodes_[node].count = uint32_t(n);
-            // Ascending ids: what a leaf finds does not depend on the order of partitions.
-            std::sort(refs_.begin() + begin, refs_.begin() + end,
-                      [](const auto& a, const auto& b) { return a.shape < b.shape; });
-            return;
-        }
-        const size_t left = node + 1, right = node + 2 * (middle - begin);
-        nodes_[node].left = uint32_t(left);
-        nodes_[node].right = uint32_t(right);
-        const auto build_left = [&] { build_range(begin, middle, left, depth + 1); };
-        const auto build_right = [&] { build_range(middle, end, right, depth + 1); };
-        if (n >= parallel_size) {
-            parallel_invoke(build_left, build_right);
-        } else {
-            build_left();
-            build_right();
-        }
-    }
-
-    void measure(size_t begin, size_t end, Bounds3& bounds, Bounds3& centroids,
-                 double& cost_sum) const {
+    uint32_t halve(size_t begin, size_t end) {
+        if (end - begin == 1) return leaves_[begin];
+        const uint32_t node = inner_[next_inner_++];
+        Bounds3 centroids;
         for (size_t i = begin; i < end; ++i) {
-            const BuildReference& r = refs_[i];
-            bounds.extend(r.bounds);
-            centroids.extend(Vec3f(r.bounds.lower + r.bounds.upper));
-            cost_sum += r.cost;
+            const Bounds3& b = nodes_[leaves_[i]].bounds;
+            centroids.extend(Vec3f(b.lower + b.upper));
         }
-    }
-
-    /// Reorders the range so that the left child's references come first.
-    /// @return the first of the right child's, or `begin` for a leaf
-    size_t partition(size_t begin, size_t end, const Bounds3& bounds, const Bounds3& centroids,
-                     double cost_sum, int depth) {
-        const uint32_t n = uint32_t(end - begin);
-        const double leaf_cost = n <= max_leaf_size_ ? costs_.leaf(cost_sum, n)
-                                                     : std::numeric_limits<double>::infinity();
-        Split split;
-        const Binning binning(centroids, std::min<int>(bins_, std::max<int>(4, int(n))));
-        if (depth < median_depth) split = best_split(begin, end, bounds, binning);
-        if (split.axis < 0) return n <= max_leaf_size_ ? begin : halve(begin, end, centroids);
-        if (leaf_cost <= split.cost) return begin;
-        const auto middle = std::partition(
-            refs_.begin() + begin, refs_.begin() + end,
-            [&](const BuildReference& r) { return binning.of(r, split.axis) < split.bin; });
-        return size_t(middle - refs_.begin());
-    }
-
-    Split best_split(size_t begin, size_t end, const Bounds3& bounds,
-                     const Binning& binning) const {
-        BinTable table;
-        for (int a = 0; a < 3; ++a) std::fill_n(table[a].begin(), binning.bins, Bin());
-        for (size_t i = begin; i < end; ++i)
-            for (int a = 0; a < 3; ++a) table[a][binning.of(refs_[i], a)].add(refs_[i]);
-
-        Split best;
-        const double area = half_area(bounds);
-        for (int a = 0; a < 3; ++a)
-            if (binning.scale[a] > 0) sweep(table[a], a, area, binning.bins, best);
-        return best;
-    }
-
-    void sweep(const std::array<Bin, max_bins>& bins, int axis, double area, int n,
-               Split& best) const {
-        std::array<double, max_bins> right_cost;
-        Bin right;
-        for (int b = n - 1; b > 0; --b) {
-            right.add(bins[b]);
-            right_cost[b] = half_area(right.bounds) * costs_.leaf(right.cost, right.count);
-            if (right.count == 0) right_cost[b] = -1;
-        }
-        Bin left;
-        for (int b = 1; b < n; ++b) {
-            left.add(bins[b - 1]);
-            if (left.count == 0 || right_cost[b] < 0) continue;
-            const double children =
-                half_area(left.bounds) * costs_.leaf(left.cost, left.count) + right_cost[b];
-            // A flat box of no area is met by no line: any split of it is as good.
-            const double cost = costs_.node + (area > 0 ? children / area : 0.0);
-            if (cost < best.cost) best = {cost, axis, b};
-        }
-    }
-
-    size_t halve(size_t begin, size_t end, const Bounds3& centroids) {
         int axis;
         (centroids.upper - centroids.lower).maxCoeff(&axis);
         const size_t middle = begin + (end - begin) / 2;
-        std::nth_element(refs_.begin() + begin, refs_.begin() + middle, refs_.begin() + end,
-                         [axis](const BuildReference& a, const BuildReference& b) {
-                             const float ca = centroid2(a, axis), cb = centroid2(b, axis);
-                             return ca != cb ? ca < cb : a.shape < b.shape;
-                         });
-        return middle;
+        const auto at = [&](size_t i) { return leaves_.begin() + ptrdiff_t(i); };
+        std::nth_element(at(begin), at(middle), at(end), [&](uint32_t a, uint32_t b) {
+            const float ca = centroid2(nodes_[a].bounds, axis),
+                        cb = centroid2(nodes_[b].bounds, axis);
+            return ca != cb ? ca < cb : nodes_[a].first < nodes_[b].first;
+        });
+        const uint32_t left = halve(begin, middle), right = halve(middle, end);
+        nodes_[node].left = left;
+        nodes_[node].right = right;
+        nodes_[node].bounds = merge(nodes_[left].bounds, nodes_[right].bounds);
+        return node;
     }
 
-    std::vector<BuildReference> refs_;
-    TreeCosts costs_;
-    int bins_;
-    uint32_t max_leaf_size_;
-    BinaryTree::Node* nodes_ = nullptr;
+    std::vector<BinaryTree::Node>& nodes_;
+    std::vector<uint32_t> leaves_, inner_;
+    size_t next_inner_ = 0;
 };
+
+/// See collapse_leaves. Recursion is as deep as the tree, which is bounded.
+class Collapse {
+  public:
+    Collapse(const BinaryTree& tree, const TreeCosts& costs, std::span<const float> cost_of_shape,
+             uint32_t max_leaf_size)
+        : tree_(tree),
+          costs_(costs),
+          cost_of_shape_(cost_of_shape),
+          max_leaf_size_(max_leaf_size),
+          parallel_levels_(tree.nodes.size() < parallel_size ? 0 : parallel_depth),
+          subtrees_(tree.nodes.size()) {}
+
+    BinaryTree run() {
+        weigh(0, 0);
+        BinaryTree out;
+        out.nodes.resize(subtrees_[0].nodes);
+        out.order.resize(subtrees_[0].references);
+        out_ = &out;
+        emit(0, 0, 0, 0);
+        return out;
+    }
+
+  private:
+    struct Subtree {
+        double cost;     // times area
+        double shapes;   // sum of the costs of its references' shapes
+        uint32_t nodes;  // after collapsing; 1: a leaf
+        uint32_t references;
+    };
+
+    /// Runs both for a node at `depth`, at once if it is near the root of a large tree.
+    template <class A, class B>
+    void both(int depth, const A& a, const B& b) const {
+        if (depth < parallel_levels_) {
+            parallel_invoke(a, b);
+        } else {
+            a();
+            b();
+        }
+    }
+
+    void weigh(uint32_t i, int depth) {
+        const BinaryTree::Node& node = tree_.nodes[i];
+        const double area = half_area(node.bounds);
+        Subtree& s = subtrees_[i];
+        if (node.leaf()) {
+            s = {0, 0, 1, node.count};
+            if (costs_.leaf_width == 1)
+                for (uint32_t k = 0; k < node.count; ++k)
+                    s.shapes += cost_of_shape_[tree_.order[node.first + k]];
+            s.cost = area * costs_.leaf(s.shapes, s.references);
+            return;
+        }
+        both(
+            depth, [&] { weigh(node.left, depth + 1); }, [&] { weigh(node.right, depth + 1); });
+        const Subtree &l = subtrees_[node.left], &r = subtrees_[node.right];
+        s = {area * costs_.node + l.cost + r.cost, l.shapes + r.shapes, 1 + l.nodes + r.nodes,
+             l.references + r.references};
+        if (s.references > max_leaf_size_) return;
+        const double leaf = area * costs_.leaf(s.shapes, s.references);
+        if (leaf <= s.cost) s.cost = leaf, s.nodes = 1;
+    }
+
+    void emit(uint32_t i, uint32_t to, uint32_t first, int depth) {
+        const BinaryTree::Node& node = tree_.nodes[i];
+        BinaryTree::Node& out = out_->nodes[to];
+        out.bounds = node.bounds;
+        if (subtrees_[i].nodes == 1) {
+            uint32_t* const begin = out_->order.data() + first;
+            uint32_t* end = gather(i, begin);
+            // Ascending ids: what a leaf finds does not depend on how it was made. Parts of one
+            // shape that meet again in a leaf are one.
+            std::sort(begin, end);
+            end = std::unique(begin, end);
+            out.first = first;
+            out.count = uint32_t(end - begin);
+            return;
+        }
+        out.left = to + 1;
+        out.right = to + 1 + subtrees_[node.left].nodes;
+        const uint32_t right_first = first + subtrees_[node.left].references;
+        both(
+            depth, [&] { emit(node.left, out.left, first, depth + 1); },
+            [&] { emit(node.right, out.right, right_first, depth + 1); });
+    }
+
+    /// Shapes of a subtree, with repeats. @return behind the last
+    uint32_t* gather(uint32_t i, uint32_t* to) const {
+        const BinaryTree::Node& node = tree_.nodes[i];
+        if (!node.leaf()) return gather(node.right, gather(node.left, to));
+        return std::copy_n(tree_.order.data() + node.first, node.count, to);
+    }
+
+    const BinaryTree& tree_;
+    const TreeCosts& costs_;
+    std::span<const float> cost_of_shape_;
+    uint32_t max_leaf_size_;
+    int parallel_levels_;
+    std::vector<Subtree> subtrees_;
+    BinaryTree* out_ = nullptr;
+};
+
+BinaryTree run_builder(std::vector<BuildReference> references, const ShapeClipper& clipper,
+                       const TreeParameters& p, const TreeCosts& costs) {
+    switch (p.builder) {
+        case TreeBuilder::median:
+            return build_median(std::move(references));
+        case TreeBuilder::sweep_sah:
+            return build_sweep(std::move(references), costs);
+        case TreeBuilder::sbvh:
+            return build_split(std::move(references), clipper, p, costs);
+        case TreeBuilder::ploc:
+            return build_clustered(std::move(references), p.ploc_radius);
+        case TreeBuilder::lbvh:
+            return build_morton(std::move(references));
+        case TreeBuilder::insertion:
+            return build_inserted(std::move(references), p.insertion_order);
+        case TreeBuilder::binned_sah:
+            break;
+    }
+    // Moving subtrees gains most where every shape can move by itself.
+    const int leaf_size = p.reinsertion > 0 ? 1 : p.max_leaf_size;
+    return build_binned(std::move(references), costs, p.bins, leaf_size);
+}
 
 }  // namespace
 
-BinaryTree build_binned(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
-                        int max_leaf_size) {
-    return BinnedBuilder(std::move(references), costs, bins, max_leaf_size).build();
+void limit_depth(BinaryTree& tree) {
+    if (tree.empty() || !is_too_deep(tree)) return;
+    const Levels levels(tree);
+    for (const uint32_t i : levels.parents_first)
+        if (levels.depth[i] == uint32_t(rebuild_depth) &&
+            levels.height[i] > uint32_t(BinaryTree::max_depth - rebuild_depth))
+            Rebalance(tree, i);
+}
+
+void collapse_leaves(BinaryTree& tree, const TreeCosts& costs, std::span<const float> cost_of_shape,
+                     int max_leaf_size) {
+    if (tree.empty()) return;
+    tree = Collapse(tree, costs, cost_of_shape, uint32_t(max_leaf_size)).run();
+}
+
+BinaryTree build_tree(std::vector<BuildReference> references, const ShapeClipper& clipper,
+                      const TreeParameters& p, const TreeCosts& costs) {
+    if (references.empty()) return {};
+    std::vector<float> cost_of_shape;
+    if (costs.leaf_width == 1) {
+        cost_of_shape.resize(references.back().shape + 1);
+        for (const BuildReference& r : references) cost_of_shape[r.shape] = r.cost;
+    }
+    BinaryTree tree = run_builder(std::move(references), clipper, p, costs);
+    limit_depth(tree);
+    reinsert(tree, p.reinsertion);
+    collapse_leaves(tree, costs, cost_of_shape, p.max_leaf_size);
+    return tree;
+}
+
+double inner_area(const BinaryTree& tree) {
+    double sum = 0;
+    std::vector<uint32_t> open;
+    if (!tree.empty()) open.push_back(0);
+    while (!open.empty()) {
+        const BinaryTree::Node& node = tree.nodes[open.back()];
+        open.pop_back();
+        if (node.leaf()) continue;
+        sum += half_area(node.bounds);
+        open.push_back(node.left);
+        open.push_back(node.right);
+    }
+    return sum;
 }
 
 double expected_cost(const BinaryTree& tree, const TreeCosts& costs,
@@ -216,8 +285,9 @@ double expected_cost(const BinaryTree& tree, const TreeCosts& costs,
         const double probability = root_area > 0 ? half_area(node.bounds) / root_area : 1.0;
         if (node.leaf()) {
             double shapes = 0;
-            for (uint32_t i = 0; i < node.count; ++i)
-                shapes += cost_of_shape[tree.order[node.first + i]];
+            if (costs.leaf_width == 1)
+                for (uint32_t i = 0; i < node.count; ++i)
+                    shapes += cost_of_shape[tree.order[node.first + i]];
             sum += probability * costs.leaf(shapes, node.count);
         } else {
             sum += probability * costs.node;

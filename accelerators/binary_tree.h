@@ -1,22 +1,31 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <vector>
 
 #include "framework/bounds.h"
+#include "framework/parallel.h"
 
 namespace crofton {
 
-/// One shape as a builder sees it.
+/// One shape, or after spatial splits a part of one, as a builder sees it.
 struct BuildReference {
     Bounds3 bounds;  ///< not empty, finite
     uint32_t shape;  ///< index in the set
     float cost;      ///< nominal ns of one test
 };
+static_assert(sizeof(BuildReference) == 32);
+
+/// Box of the part of a shape inside a box, rounded outwards; empty if there is none.
+using ClipShape = std::function<Bounds3(uint32_t shape, const Bounds3& box)>;
 
 /// A binary hierarchy in the making; structures copy what they need from it.
 struct BinaryTree {
+    /// Edges from the root to a leaf at most, in any finished tree: what a stack must hold.
+    static constexpr int max_depth = 72;
+
     struct Node {
         Bounds3 bounds;
         uint32_t left = 0, right = 0;   ///< children, if count = 0
@@ -24,7 +33,7 @@ struct BinaryTree {
         bool leaf() const { return count > 0; }
     };
     std::vector<Node> nodes;      ///< the root first; may have unused entries
-    std::vector<uint32_t> order;  ///< shapes, leaf by leaf
+    std::vector<uint32_t> order;  ///< shapes, leaf by leaf; may have unused entries
     bool empty() const { return nodes.empty(); }
 };
 
@@ -38,25 +47,33 @@ struct TreeCosts {
     }
 };
 
-/// References of all active shapes of a set. @param clip  what to leave out of every bound
+/// References of all active shapes of a set, ascending.
 template <class Set>
 std::vector<BuildReference> build_references(const Set& set) {
-    std::vector<BuildReference> references;
-    references.reserve(set.size());
-    for (uint32_t i = 0; i < set.size(); ++i)
-        if (set.active(i)) references.push_back({set.bounds(i), i, float(set.cost(i))});
+    std::vector<BuildReference> references(set.size());
+    parallel_for(set.size(), 1 << 14, [&](size_t begin, size_t end) {
+        for (size_t i = begin; i < end; ++i) {
+            const uint32_t shape = uint32_t(i);
+            if (set.active(shape))
+                references[i] = {set.bounds(shape), shape, float(set.cost(shape))};
+        }
+    });
+    std::erase_if(references, [](const BuildReference& r) { return r.bounds.empty(); });
     return references;
 }
 
-/// Area heuristic (MacDonald & Booth 1990) evaluated at bins of centroids (Wald 2007: "On fast
-/// construction of SAH-based bounding volume hierarchies"), top down, in parallel, O(N log N).
-/// Deterministic for any number of threads. Where no split is possible (equal centroids) or the
-/// tree gets deeper than 40 levels, references are halved by count, so that no tree is deeper
-/// than 72.
-BinaryTree build_binned(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
-                        int max_leaf_size);
+/// Costs of all shapes, by index in the set; empty where leaves are not costed by shape.
+template <class Set>
+std::vector<float> shape_costs(const Set& set, const TreeCosts& costs) {
+    std::vector<float> list;
+    if (costs.leaf_width > 1) return list;
+    for (uint32_t i = 0; i < set.size(); ++i)
+        list.push_back(set.active(i) ? float(set.cost(i)) : 0.0f);
+    return list;
+}
 
 /// Nominal ns of a random line that meets the root, by the area heuristic.
+/// @param cost_of_shape  by index in the set; read where costs.leaf_width is 1
 double expected_cost(const BinaryTree& tree, const TreeCosts& costs,
                      std::span<const float> cost_of_shape);
 

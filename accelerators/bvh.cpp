@@ -189,13 +189,10 @@ template <class Set>
 Bvh<Set> Bvh<Set>::build(const Set& set, const BvhParameters& p) {
     Bvh bvh;
     const TreeCosts costs = tree_costs<Set>(cost_constants.node);
-    std::vector<BuildReference> references = build_references(set);
-    std::vector<float> shape_costs(set.size());
-    for (const BuildReference& r : references) shape_costs[r.shape] = r.cost;
-    const BinaryTree tree = build_binned(std::move(references), costs, p.bins, p.max_leaf_size);
+    const BinaryTree tree = build_tree(set, p, costs);
     if (tree.empty()) return bvh;
     bvh.box = tree.nodes[0].bounds;
-    bvh.cost = crofton::expected_cost(tree, costs, shape_costs);
+    bvh.cost = crofton::expected_cost(tree, costs, shape_costs(set, costs));
     PairWriter<Set>(bvh, tree, set).write();
     bvh.nodes.shrink_to_fit();
     bvh.stats.bytes = bvh.nodes.size() * sizeof(BvhNode) + bvh.leaves.bytes();

@@ -1,20 +1,16 @@
 #pragma once
 
 #include "accelerators/leaves.h"
+#include "accelerators/tree_build.h"
 #include "framework/aligned.h"
 #include "framework/primitive.h"
 
 namespace crofton {
 
-struct BvhParameters {
-    int max_leaf_size = 8;
-    int bins = 16;
-
+struct BvhParameters : TreeParameters {
     template <class V>
     void fields(V& v) {
-        v.integer("max_leaf_size", max_leaf_size, 1, 64,
-                  "shapes in a leaf at most; fewer where the area heuristic says so");
-        v.integer("bins", bins, 2, 64, "candidate planes per axis and node, plus one");
+        TreeParameters::fields(v, 64);
     }
 };
 
@@ -31,12 +27,12 @@ struct BvhNode {
 };
 static_assert(sizeof(BvhNode) == 64);
 
-/// Binary bounding volume hierarchy of boxes over any set. See BvhParameters and build_binned.
+/// Binary bounding volume hierarchy of boxes over any set. See build_tree.
 template <class Set>
 struct Bvh {
     static constexpr const char* name = "bvh";
     static constexpr bool reads_set = Leaves<Set>::keeps_set;
-    static constexpr int max_depth = 72;  ///< of any tree that build_binned makes
+    static constexpr int max_depth = BinaryTree::max_depth;
 
     AlignedVector<BvhNode> nodes;  ///< the root first, then depth first; empty: no shapes
     Leaves<Set> leaves;

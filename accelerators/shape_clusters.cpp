@@ -5,6 +5,8 @@
 #include <numeric>
 #include <unordered_map>
 
+#include "accelerators/tree_build.h"
+
 namespace crofton {
 namespace {
 

@@ -185,30 +185,10 @@ HWY_AFTER_NAMESPACE();
 CROFTON_ACCELERATOR_KERNELS(WideBvh, WideBvhTraversal, WideBvhParameters)
 
 #if HWY_ONCE
+#include "accelerators/wide_collapse.h"
+
 namespace crofton {
 namespace {
-
-/// Eight children at most: opens the child with the largest box until there are eight, or all are
-/// leaves.
-std::vector<uint32_t> open_children(const BinaryTree& tree, uint32_t root) {
-    std::vector<uint32_t> children{root};
-    while (children.size() < 8) {
-        size_t best = children.size();
-        double best_area = -1;
-        for (size_t i = 0; i < children.size(); ++i) {
-            const BinaryTree::Node& node = tree.nodes[children[i]];
-            if (!node.leaf() && half_area(node.bounds) > best_area) {
-                best = i;
-                best_area = half_area(node.bounds);
-            }
-        }
-        if (best == children.size()) break;
-        const BinaryTree::Node& node = tree.nodes[children[best]];
-        children[best] = node.left;
-        children.push_back(node.right);
-    }
-    return children;
-}
 
 void set_child(WideNode& node, int i, const Bounds3& b) {
     for (int a = 0; a < 3; ++a) {
@@ -253,8 +233,9 @@ void quantise(QuantisedNode& node, const std::vector<Bounds3>& children) {
 template <class Set>
 class WideWriter {
   public:
-    WideWriter(WideBvh<Set>& bvh, const BinaryTree& tree, const Set& set)
-        : bvh_(bvh), tree_(tree), set_(set) {}
+    WideWriter(WideBvh<Set>& bvh, const BinaryTree& tree, const WideCollapse& collapse,
+               const Set& set)
+        : bvh_(bvh), tree_(tree), collapse_(collapse), set_(set) {}
 
     void write() {
         struct Open {
@@ -265,7 +246,7 @@ class WideWriter {
             const Open o = open.back();
             open.pop_back();
             ++bvh_.stats.N_IN;
-            const std::vector<uint32_t> children = open_children(tree_, o.from);
+            const std::vector<uint32_t> children = collapse_.children(o.from);
             std::vector<Bounds3> bounds;
             uint32_t child[8];
             for (size_t i = 0; i < children.size(); ++i) {
@@ -315,6 +296,7 @@ class WideWriter {
 
     WideBvh<Set>& bvh_;
     const BinaryTree& tree_;
+    const WideCollapse& collapse_;
     const Set& set_;
 };
 
@@ -364,14 +346,13 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
     WideBvh bvh;
     bvh.format = p.nodes;
     const TreeCosts costs = tree_costs<Set>(cost_constants.wide_node);
-    std::vector<BuildReference> references = build_references(set);
-    std::vector<float> shape_costs(set.size());
-    for (const BuildReference& r : references) shape_costs[r.shape] = r.cost;
-    const BinaryTree tree = build_binned(std::move(references), costs, p.bins, p.max_leaf_size);
+    const BinaryTree tree = build_tree(set, p, costs);
     if (tree.empty()) return bvh;
     bvh.box = tree.nodes[0].bounds;
-    bvh.cost = crofton::expected_cost(tree, costs, shape_costs);
-    WideWriter<Set>(bvh, tree, set).write();
+    // A wide node costs about as much as four of its binary nodes: it has up to seven.
+    const WideCollapse collapse(tree, costs, 4 * cost_constants.wide_node, shape_costs(set, costs));
+    bvh.cost = collapse.expected_cost();
+    WideWriter<Set>(bvh, tree, collapse, set).write();
     bvh.nodes.shrink_to_fit();
     bvh.quantised.shrink_to_fit();
     bvh.stats.bytes = bvh.nodes.size() * sizeof(WideNode) +

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "accelerators/leaves.h"
+#include "accelerators/tree_build.h"
 #include "framework/aligned.h"
 #include "framework/primitive.h"
 
@@ -8,18 +9,16 @@ namespace crofton {
 
 enum class WideNodes { full, quantised };
 
-struct WideBvhParameters {
+struct WideBvhParameters : TreeParameters {
     WideNodes nodes = WideNodes::full;
-    int max_leaf_size = 16;
-    int bins = 16;
+
+    WideBvhParameters() { max_leaf_size = 16; }
 
     template <class V>
     void fields(V& v) {
         v.choice("nodes", nodes, {"full", "quantised"},
                  "child boxes as floats, or as bytes relative to their node");
-        v.integer("max_leaf_size", max_leaf_size, 1, 32,
-                  "shapes in a leaf at most; fewer where the area heuristic says so");
-        v.integer("bins", bins, 2, 64, "candidate planes per axis and node, plus one");
+        TreeParameters::fields(v, 32);
     }
 };
 
@@ -64,14 +63,14 @@ struct alignas(8) QuantisedNode {
 };
 static_assert(sizeof(QuantisedNode) == 112);
 
-/// Bounding volume hierarchy with eight children a node, all tested at once. Built by opening,
-/// child by child, the largest box of a binary tree (Wald, Benthin, Boulos 2008).
+/// Bounding volume hierarchy with eight children a node, all tested at once. Made from a
+/// binary tree by leaving out the nodes whose absence costs least: see WideCollapse.
 template <class Set>
 struct WideBvh {
     static constexpr const char* name = "wide_bvh";
     static constexpr bool reads_set = Leaves<Set>::keeps_set;
     static constexpr int width = 8;
-    static constexpr int max_depth = 72;  ///< of the binary tree, and so of this
+    static constexpr int max_depth = BinaryTree::max_depth;  ///< of the binary tree, and so of this
 
     WideNodes format = WideNodes::full;
     AlignedVector<WideNode> nodes;           ///< format full: the root first

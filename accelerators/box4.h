@@ -1,0 +1,92 @@
+#pragma once
+
+#include <hwy/highway.h>
+
+#include <array>
+
+#include "accelerators/binary_tree.h"
+
+namespace crofton {
+
+/// A box in two vector registers, for builders: they are compiled once, for the baseline. The
+/// fourth lanes mean nothing.
+struct Box4 {
+    using D = hwy::HWY_NAMESPACE::FixedTag<float, 4>;
+    using V = hwy::HWY_NAMESPACE::Vec<D>;
+    V lower = hwy::HWY_NAMESPACE::Set(D(), std::numeric_limits<float>::infinity());
+    V upper = hwy::HWY_NAMESPACE::Set(D(), -std::numeric_limits<float>::infinity());
+
+    Box4() = default;
+    Box4(V l, V u) : lower(l), upper(u) {}
+    /// Reads one float behind the box.
+    explicit Box4(const BuildReference& r)
+        : lower(hwy::HWY_NAMESPACE::LoadU(D(), r.bounds.lower.data())),
+          upper(hwy::HWY_NAMESPACE::LoadU(D(), r.bounds.upper.data())) {}
+
+    void extend(const Box4& b) {
+        lower = hwy::HWY_NAMESPACE::Min(lower, b.lower);
+        upper = hwy::HWY_NAMESPACE::Max(upper, b.upper);
+    }
+    void extend_point(V p) {
+        lower = hwy::HWY_NAMESPACE::Min(lower, p);
+        upper = hwy::HWY_NAMESPACE::Max(upper, p);
+    }
+    /// Not empty on any of the three axes.
+    bool valid() const {
+        namespace hn = hwy::HWY_NAMESPACE;
+        uint8_t bits[8];
+        hn::StoreMaskBits(D(), hn::Le(lower, upper), bits);
+        return (bits[0] & 7) == 7;
+    }
+    V centroid2() const { return hwy::HWY_NAMESPACE::Add(lower, upper); }
+    Bounds3 bounds() const {
+        alignas(16) float l[4], u[4];
+        hwy::HWY_NAMESPACE::Store(lower, D(), l);
+        hwy::HWY_NAMESPACE::Store(upper, D(), u);
+        return {{l[0], l[1], l[2]}, {u[0], u[1], u[2]}};
+    }
+    /// In double, so that no size overflows; an empty box must not be asked.
+    double half_area() const {
+        namespace hn = hwy::HWY_NAMESPACE;
+        alignas(16) float l[4], u[4];
+        hn::Store(lower, D(), l);
+        hn::Store(upper, D(), u);
+        const double x = double(u[0]) - double(l[0]), y = double(u[1]) - double(l[1]),
+                     z = double(u[2]) - double(l[2]);
+        return x * y + y * z + z * x;
+    }
+};
+
+/// Bounds of references and of their centroids (doubled).
+struct ReferenceBounds {
+    Box4 boxes, centroids;
+
+    void add(const BuildReference& r) {
+        const Box4 b(r);
+        boxes.extend(b);
+        centroids.extend_point(b.centroid2());
+    }
+    void add(const ReferenceBounds& o) {
+        boxes.extend(o.boxes);
+        centroids.extend(o.centroids);
+    }
+};
+
+/// Sums chunks of [begin, end) with `body(begin, end) -> T` and T::add, in order of the chunks,
+/// which do not depend on the number of threads: the same bits always.
+template <class T, class Body>
+T sum_chunks(size_t begin, size_t end, const Body& body) {
+    constexpr size_t chunks = 16, least = 8192;
+    const size_t n = end - begin;
+    if (n < 2 * least) return body(begin, end);
+    const size_t size = (n + chunks - 1) / chunks;
+    std::vector<T> parts(chunks);
+    parallel_for(chunks, 1, [&](size_t from, size_t to) {
+        for (size_t i = from; i < to; ++i)
+            parts[i] = body(std::min(end, begin + i * size), std::min(end, begin + (i + 1) * size));
+    });
+    for (size_t i = 1; i < chunks; ++i) parts[0].add(parts[i]);
+    return parts[0];
+}
+
+}  // namespace crofton

@@ -1,0 +1,287 @@
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+
+#include "accelerators/box4.h"
+#include "accelerators/tree_build.h"
+
+namespace crofton {
+namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
+
+struct Key {
+    uint64_t code;
+    uint32_t reference;
+};
+
+/// Spreads 21 bits to every third.
+uint64_t spread(uint64_t x) {
+    x = (x | x << 32) & 0x1f00000000ffffull;
+    x = (x | x << 16) & 0x1f0000ff0000ffull;
+    x = (x | x << 8) & 0x100f00f00f00f00full;
+    x = (x | x << 4) & 0x10c30c30c30c30c3ull;
+    return (x | x << 2) & 0x1249249249249249ull;
+}
+
+/// Stable, by 11 bits at a time; in parallel by chunks that do not depend on the threads.
+void radix_sort(std::vector<Key>& keys) {
+    constexpr size_t digits = 2048, least = 8192, most_chunks = 16;
+    const size_t n = keys.size();
+    const size_t chunks = std::clamp<size_t>(n / least, 1, most_chunks);
+    const auto chunk_begin = [&](size_t c) { return n * c / chunks; };
+    std::vector<Key> other(n);
+    std::vector<std::array<uint32_t, digits>> count(chunks);
+    for (int shift = 0; shift < 63; shift += 11) {
+        const auto digit = [&](const Key& k) { return size_t(k.code >> shift & (digits - 1)); };
+        parallel_for(chunks, 1, [&](size_t from, size_t to) {
+            for (size_t c = from; c < to; ++c) {
+                count[c].fill(0);
+                for (size_t i = chunk_begin(c); i < chunk_begin(c + 1); ++i)
+                    ++count[c][digit(keys[i])];
+            }
+        });
+        uint32_t sum = 0;
+        for (size_t d = 0; d < digits; ++d)
+            for (auto& c : count) {
+                const uint32_t here = c[d];
+                c[d] = sum;
+                sum += here;
+            }
+        parallel_for(chunks, 1, [&](size_t from, size_t to) {
+            for (size_t c = from; c < to; ++c)
+                for (size_t i = chunk_begin(c); i < chunk_begin(c + 1); ++i)
+                    other[count[c][digit(keys[i])]++] = keys[i];
+        });
+        keys.swap(other);
+    }
+}
+
+/// References by the Morton code of their centroids, 21 bits an axis; equal ones by index.
+std::vector<Key> morton_keys(const std::vector<BuildReference>& refs) {
+    const ReferenceBounds range =
+        sum_chunks<ReferenceBounds>(0, refs.size(), [&](size_t begin, size_t end) {
+            ReferenceBounds sum;
+            for (size_t i = begin; i < end; ++i) sum.add(refs[i]);
+            return sum;
+        });
+    const Bounds3 centroids = range.centroids.bounds();
+    // One scale for all axes: cells are cubes.
+    const float extent = (centroids.upper - centroids.lower).maxCoeff();
+    const float scale = 2097151.0f / extent;
+    const bool usable = extent > 0 && std::isfinite(extent) && std::isfinite(scale);
+    std::vector<Key> keys(refs.size());
+    parallel_for(refs.size(), 1 << 13, [&](size_t begin, size_t end) {
+        for (size_t i = begin; i < end; ++i) {
+            uint64_t code = 0;
+            for (int a = 0; usable && a < 3; ++a) {
+                const float x = (centroid2(refs[i].bounds, a) - centroids.lower[a]) * scale;
+                code |= spread(uint64_t(std::clamp(x, 0.0f, 2097151.0f))) << a;
+            }
+            keys[i] = {code, uint32_t(i)};
+        }
+    });
+    radix_sort(keys);
+    return keys;
+}
+
+class MortonBuilder {
+  public:
+    explicit MortonBuilder(std::vector<BuildReference> references)
+        : refs_(std::move(references)), keys_(morton_keys(refs_)) {}
+
+    BinaryTree build() {
+        BinaryTree tree;
+        const size_t n = refs_.size();
+        tree.nodes.resize(2 * n - 1);
+        tree.order.resize(n);
+        nodes_ = tree.nodes.data();
+        for (size_t i = 0; i < n; ++i) tree.order[i] = refs_[keys_[i].reference].shape;
+        build_range(0, n, 0);
+        return tree;
+    }
+
+  private:
+    /// Recursion is bounded: each level takes one of 63 bits, or halves.
+    void build_range(size_t begin, size_t end, size_t node) {
+        BinaryTree::Node& out = nodes_[node];
+        if (end - begin == 1) {
+            out.bounds = refs_[keys_[begin].reference].bounds;
+            out.first = uint32_t(begin);
+            out.count = 1;
+            return;
+        }
+        const size_t middle = split(begin, end);
+        const size_t left = node + 1, right = node + 2 * (middle - begin);
+        out.left = uint32_t(left);
+        out.right = uint32_t(right);
+        const auto build_left = [&] { build_range(begin, middle, left); };
+        const auto build_right = [&] { build_range(middle, end, right); };
+        if (end - begin >= parallel_size) {
+            parallel_invoke(build_left, build_right);
+        } else {
+            build_left();
+            build_right();
+        }
+        out.bounds = merge(nodes_[left].bounds, nodes_[right].bounds);
+    }
+
+    /// Where the highest bit that differs goes from 0 to 1; the middle if none does.
+    size_t split(size_t begin, size_t end) const {
+        const uint64_t differ = keys_[begin].code ^ keys_[end - 1].code;
+        if (differ == 0) return begin + (end - begin) / 2;
+        const uint64_t bit = std::bit_floor(differ);
+        const auto middle =
+            std::partition_point(keys_.begin() + ptrdiff_t(begin), keys_.begin() + ptrdiff_t(end),
+                                 [bit](const Key& k) { return (k.code & bit) == 0; });
+        return size_t(middle - keys_.begin());
+    }
+
+    std::vector<BuildReference> refs_;
+    std::vector<Key> keys_;
+    BinaryTree::Node* nodes_ = nullptr;
+};
+
+/// Merges clusters that are each other's nearest, in rounds.
+class ClusterBuilder {
+  public:
+    ClusterBuilder(std::vector<BuildReference> references, int radius)
+        : refs_(std::move(references)), radius_(size_t(radius)) {}
+
+    BinaryTree build() {
+        const size_t n = refs_.size();
+        tree_.nodes.resize(2 * n - 1);
+        tree_.order.resize(n);
+        next_inner_ = n - 1;
+        const std::vector<Key> keys = morton_keys(refs_);
+        clusters_.resize(n);
+        for (size_t i = 0; i < n; ++i) {
+            const BuildReference& r = refs_[keys[i].reference];
+            BinaryTree::Node& leaf = tree_.nodes[n - 1 + i];
+            leaf.bounds = r.bounds;
+            leaf.first = uint32_t(i);
+            leaf.count = 1;
+            tree_.order[i] = r.shape;
+            clusters_[i] = {r.bounds, uint32_t(n - 1 + i), 0};
+        }
+        set_scale();
+        while (clusters_.size() > 1) round();
+        return std::move(tree_);
+    }
+
+  private:
+    /// As BuildReference, for Box4: `shape` is the node.
+    using Cluster = BuildReference;
+
+    /// A power of two makes areas of the order of 1: no product of extents overflows.
+    void set_scale() {
+        Bounds3 all;
+        for (const Cluster& c : clusters_) all.extend(c.bounds);
+        const float extent = all.extent().maxCoeff();
+        const bool sane = extent > 0 && std::isfinite(extent);
+        scale_ = std::ldexp(1.0f, sane ? std::clamp(-std::ilogb(extent), -120, 120) : 0);
+    }
+
+    void round() {
+        const size_t n = clusters_.size();
+        nearest_.resize(n);
+        parallel_for(n, 512, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) nearest_[i] = uint32_t(find_nearest(i));
+        });
+        size_t pairs = 0;
+        for (size_t i = 0; i < n; ++i) pairs += nearest_[nearest_[i]] == i;
+        // In rows of growing gaps hardly any two are each other's nearest: then whoever comes
+        // first.
+        if (pairs < n / 8) match_greedily();
+        size_t kept = 0;
+        for (size_t i = 0; i < n; ++i) {
+            const size_t j = nearest_[i];
+            if (j == i || nearest_[j] != i)
+                clusters_[kept++] = clusters_[i];
+            else if (i < j)
+                clusters_[kept++] = merged(clusters_[i], clusters_[j]);
+        }
+        clusters_.resize(kept);
+    }
+
+    /// Of equally near ones the pair with the lowest i xor j: both partners then choose alike, and
+    /// equal clusters pair off at once.
+    size_t find_nearest(size_t i) const {
+        const size_t begin = i - std::min(i, radius_);
+        const size_t end = std::min(clusters_.size(), i + radius_ + 1);
+        const Box4 own(clusters_[i]);
+        size_t best = i;
+        float distance = std::numeric_limits<float>::infinity();
+        for (size_t j = begin; j < end; ++j) {
+            if (j == i) continue;
+            Box4 both(clusters_[j]);
+            both.extend(own);
+            const float d = area(both);
+            if (d < distance || (d == distance && (best == i || (i ^ j) < (i ^ best)))) {
+                best = j;
+                distance = d;
+            }
+        }
+        return best;
+    }
+    float area(const Box4& b) const {
+        const Box4::D d;
+        const auto e = hn::Mul(hn::Sub(b.upper, b.lower), hn::Set(d, scale_));
+        alignas(16) float p[4];
+        hn::Store(e, d, p);
+        return p[0] * p[1] + p[1] * p[2] + p[2] * p[0];
+    }
+
+    /// Each with its nearest if both are free, by index; the others with themselves.
+    void match_greedily() {
+        std::vector<uint32_t> partner(nearest_.size());
+        for (size_t i = 0; i < partner.size(); ++i) partner[i] = uint32_t(i);
+        for (size_t i = 0; i < partner.size(); ++i) {
+            const uint32_t j = nearest_[i];
+            if (partner[i] != i || partner[j] != j) continue;
+            partner[i] = j;
+            partner[j] = uint32_t(i);
+        }
+        nearest_.swap(partner);
+    }
+
+    /// Inner nodes are taken from the back, so that the last one is the root, 0.
+    Cluster merged(const Cluster& a, const Cluster& b) {
+        const uint32_t node = uint32_t(--next_inner_);
+        BinaryTree::Node& out = tree_.nodes[node];
+        out.bounds = merge(a.bounds, b.bounds);
+        out.left = a.shape;
+        out.right = b.shape;
+        return {out.bounds, node, 0};
+    }
+
+    std::vector<BuildReference> refs_;
+    size_t radius_;
+    BinaryTree tree_;
+    size_t next_inner_ = 0;
+    float scale_ = 1;
+    std::vector<Cluster> clusters_;  // in Morton order
+    std::vector<uint32_t> nearest_;
+};
+
+}  // namespace
+
+std::vector<uint32_t> morton_order(const std::vector<BuildReference>& references) {
+    const std::vector<Key> keys = morton_keys(references);
+    std::vector<uint32_t> order(keys.size());
+    for (size_t i = 0; i < keys.size(); ++i) order[i] = keys[i].reference;
+    return order;
+}
+
+BinaryTree build_morton(std::vector<BuildReference> references) {
+    return MortonBuilder(std::move(references)).build();
+}
+
+BinaryTree build_clustered(std::vector<BuildReference> references, int radius) {
+    return ClusterBuilder(std::move(references), radius).build();
+}
+
+}  // namespace crofton

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "accelerators/binary_tree.h"
+
+namespace crofton {
+
+/// Which nodes of a binary tree are left out when it becomes one with up to eight children a node,
+/// so that the area heuristic's cost is least (dynamic programming: Wald, Benthin, Boulos 2008,
+/// "Getting rid of packets"; Ylitie, Karras, Laine 2017, "Efficient incoherent ray traversal on
+/// GPUs through compressed wide BVHs"). O(N) time and memory. Leaves stay as they are.
+class WideCollapse {
+  public:
+    static constexpr int width = 8;
+
+    /// @param tree       children after their parents, as collapse_leaves leaves it; not empty;
+    /// must
+    ///                   outlive this
+    /// @param wide_node  nominal ns of testing all children of a wide node
+    WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
+                 std::span<const float> cost_of_shape);
+
+    /// Children of the wide node that stands for an inner node: 2 to 8 nodes of the binary tree. Of
+    /// a leaf, itself.
+    std::vector<uint32_t> children(uint32_t node) const;
+
+    /// Nominal ns of a random line that meets the root.
+    double expected_cost() const { return expected_cost_; }
+
+  private:
+    /// For k slots, k from 2 to 8: how many the left child gets; with the high bit, the node costs
+    /// less as a wide node of its own in one slot.
+    using Plan = std::array<uint8_t, width + 1>;
+    static constexpr uint8_t own_node = 0x80;
+
+    const BinaryTree& tree_;
+    std::vector<Plan> plans_;
+    double expected_cost_ = 0;
+};
+
+}  // namespace crofton
