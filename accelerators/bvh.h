@@ -1,5 +1,6 @@
 #pragma once
 
+#include "accelerators/bounding_volume.h"
 #include "accelerators/leaves.h"
 #include "accelerators/tree_build.h"
 #include "framework/aligned.h"
@@ -8,8 +9,12 @@
 namespace crofton {
 
 struct BvhParameters : TreeParameters {
+    BoundingVolume volume = BoundingVolume::box;
+
     template <class V>
     void fields(V& v) {
+        v.choice("volume", volume, {"box", "sphere", "obb", "kdop"},
+                 "what bounds a node: axis-aligned box, sphere, oriented box, 14 planes");
         TreeParameters::fields(v, 64);
     }
 };
@@ -18,23 +23,26 @@ struct BvhParameters : TreeParameters {
 ///
 ///   byte  0  x: lower of child 0, lower of child 1, upper of child 0, upper of child 1
 ///        16  y likewise      32  z likewise
-///        48  index[2]: an inner node, or where a leaf's shapes begin
-///        56  count[2]: 0 for an inner node, else shapes in the leaf
+///        48  links
 struct BvhNode {
     float bounds[3][4];
-    uint32_t index[2];
-    uint32_t count[2];
+    PairLinks links;
 };
 static_assert(sizeof(BvhNode) == 64);
 
-/// Binary bounding volume hierarchy of boxes over any set. See build_tree.
+/// Binary bounding volume hierarchy over any set. See build_tree and BoundingVolume.
 template <class Set>
 struct Bvh {
     static constexpr const char* name = "bvh";
     static constexpr bool reads_set = Leaves<Set>::keeps_set;
     static constexpr int max_depth = BinaryTree::max_depth;
 
-    AlignedVector<BvhNode> nodes;  ///< the root first, then depth first; empty: no shapes
+    BoundingVolume volume = BoundingVolume::box;
+    /// The root first, then depth first; all empty: no shapes. Those of one volume are filled.
+    AlignedVector<BvhNode> nodes;
+    AlignedVector<SpherePair> spheres;
+    AlignedVector<ObbPair> obbs;
+    AlignedVector<KdopPair> kdops;
     Leaves<Set> leaves;
     Bounds3 box;
     double cost = 0;
@@ -43,7 +51,7 @@ struct Bvh {
     static Bvh build(const Set& set, const BvhParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(nodes, leaves, box, cost, stats);
+        a(volume, nodes, spheres, obbs, kdops, leaves, box, cost, stats);
     }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }

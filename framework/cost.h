@@ -6,6 +6,9 @@ namespace crofton {
 /// weigh nodes against shapes with, and what `expected_cost` sums. Ratios matter, not their unit.
 struct CostConstants {
     double node = 3.0;         ///< both children of a binary node
+    double sphere_node = 6.0;  ///< the same of spheres, oriented boxes, 14-dops
+    double obb_node = 9.0;
+    double kdop_node = 6.0;
     double wide_node = 1.5;    ///< eight children at once, as a share of each binary node inside
     double plane = 1.5;        ///< a step down a tree of planes
     double general_plane = 4.0;  ///< the same where the plane has any direction
