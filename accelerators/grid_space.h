@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -12,6 +13,16 @@
 
 namespace crofton {
 
+/// The next float above or below, as std::nextafter, which is a call into a library. Infinity
+/// stays.
+inline float next_above(float x) {
+    if (!(std::abs(x) <= std::numeric_limits<float>::max())) return x;
+    if (x == 0) return std::numeric_limits<float>::denorm_min();
+    const uint32_t bits = std::bit_cast<uint32_t>(x);
+    return std::bit_cast<float>(x > 0 ? bits + 1 : bits - 1);
+}
+inline float next_below(float x) { return -next_above(-x); }
+
 /// Geometry of a regular grid. Planes are computed in double from their integer index, never
 /// accumulated, and by the same expression when shapes are put into cells and when rays walk.
 struct GridSpace {
@@ -21,7 +32,8 @@ struct GridSpace {
     double cell[3] = {1, 1, 1};  ///< > 0
     double inverse_cell[3] = {1, 1, 1};
     /// Shapes stand in every cell that they meet when widened by this much, so that a walk along
-    /// the exact ray finds all that a rounded leaf test can accept: see `walk_is_exact`.
+    /// the exact ray finds all that a rounded leaf test can accept, unless the ray's `reach` is
+    /// larger.
     double margin[3] = {0, 0, 0};
     /// Largest absolute coordinate of the whole shapes that stand in the cells, parts outside the
     /// box included: what the error of a leaf test grows with.
@@ -51,9 +63,6 @@ struct GridSpace {
         const double i = (x - lower[axis]) * inverse_cell[axis];
         return i > 0 ? int(std::min(i, double(resolution[axis] - 1))) : 0;
     }
-    size_t at(int x, int y, int z) const {
-        return (size_t(z) * resolution[1] + y) * resolution[0] + x;
-    }
     Bounds3 cell_box(int x, int y, int z) const {
         const int i[3] = {x, y, z};
         Bounds3 b;
@@ -66,11 +75,6 @@ struct GridSpace {
     /// What a leaf test may add to a ray's own thickness, per axis.
     double reach(const LocalRay& ray, int axis) const {
         return ray.pad[axis] + 0x1p-21 * (std::abs(double(ray.origin[axis])) + magnitude);
-    }
-    bool walk_is_exact(const LocalRay& ray) const {
-        for (int a = 0; a < 3; ++a)
-            if (reach(ray, a) > margin[a]) return false;
-        return true;
     }
 };
 
@@ -91,8 +95,9 @@ inline GridSpace widened_space(const Bounds3& content, const Vec3i& n, double sh
         margin[a] = std::max({0x1p-12 * cell, 0x1p-19 * shapes,
                               n[a] == 1 ? wanted : std::min(wanted, cell / 4),
                               double(std::numeric_limits<float>::min())});
-        box.lower[a] = std::nextafter(float(box.lower[a] - margin[a]), -largest);
-        box.upper[a] = std::nextafter(float(box.upper[a] + margin[a]), largest);
+        // Near the end of the range, a bound stays finite.
+        box.lower[a] = std::max(next_below(float(box.lower[a] - margin[a])), -largest);
+        box.upper[a] = std::min(next_above(float(box.upper[a] + margin[a])), largest);
     }
     GridSpace space(box, n);
     space.magnitude = shapes;
@@ -122,12 +127,10 @@ void for_each_cell(const GridSpace& grid, const Set& set, uint32_t shape, const 
     };
     // `part` cut to cells first … last of one axis, which the margin widens.
     const auto cut = [&](Bounds3 part, int axis, int i) {
-        part.lower[axis] = std::max(part.lower[axis],
-                                    std::nextafter(float(grid.plane(axis, i) - grid.margin[axis]),
-                                                   -std::numeric_limits<float>::infinity()));
-        part.upper[axis] = std::min(
-            part.upper[axis], std::nextafter(float(grid.plane(axis, i + 1) + grid.margin[axis]),
-                                             std::numeric_limits<float>::infinity()));
+        part.lower[axis] =
+            std::max(part.lower[axis], next_below(float(grid.plane(axis, i) - grid.margin[axis])));
+        part.upper[axis] = std::min(part.upper[axis],
+                                    next_above(float(grid.plane(axis, i + 1) + grid.margin[axis])));
         return part;
     };
     int z0, z1;
@@ -154,43 +157,10 @@ void for_each_cell(const GridSpace& grid, const Set& set, uint32_t shape, Visit&
     for_each_cell(grid, set, shape, set.bounds(shape), std::forward<Visit>(visit));
 }
 
-/// Walks the cells that a ray crosses, in order (3D-DDA: Amanatides & Woo 1987), in double.
-/// @param visit  visit(cell index) -> bool: the query is answered, stop
-/// @param past   past(t) -> bool: nothing that begins at t or later matters, stop
-/// @return whether `visit` stopped the walk
-template <class Visit, class Past>
-bool walk_cells(const GridSpace& grid, const LocalRay& ray, double t_enter, Visit&& visit,
-                Past&& past) {
-    constexpr double infinity = std::numeric_limits<double>::infinity();
-    int i[3], step[3], end[3];
-    double next[3], inverse[3];
-    ptrdiff_t stride[3] = {1, grid.resolution[0],
-                           ptrdiff_t(grid.resolution[0]) * grid.resolution[1]};
-    for (int a = 0; a < 3; ++a) {
-        const double o = ray.origin[a], d = ray.direction[a];
-        i[a] = grid.index(a, o + t_enter * d);
-        const bool up = d > 0;
-        step[a] = up ? 1 : -1;
-        end[a] = up ? grid.resolution[a] : -1;
-        inverse[a] = 1 / d;
-        next[a] = d == 0 ? infinity : (grid.plane(a, i[a] + (up ? 1 : 0)) - o) * inverse[a];
-        if (!up) stride[a] = -stride[a];
-    }
-    size_t cell = grid.at(i[0], i[1], i[2]);
-    while (true) {
-        const int a =
-            next[0] <= next[1] ? (next[0] <= next[2] ? 0 : 2) : (next[1] <= next[2] ? 1 : 2);
-        if (visit(cell)) return true;
-        i[a] += step[a];
-        if (i[a] == end[a] || next[a] == infinity || past(next[a])) return false;
-        cell = size_t(ptrdiff_t(cell) + stride[a]);
-        next[a] = (grid.plane(a, i[a] + (step[a] > 0 ? 1 : 0)) - ray.origin[a]) * inverse[a];
-    }
-}
-
-/// The same for a ray that is thicker than the margin of the cells (a far origin, an instance with
-/// an ill-conditioned map): slice by slice along the axis that the ray crosses fastest, all cells
-/// that the thick ray touches. Cells come in order of slices.
+/// Walks the cells of a ray that is thicker than their margin (a far origin, an instance with an
+/// ill-conditioned map): slice by slice along the axis that the ray crosses fastest, all cells that
+/// the thick ray touches. Cells come in order of slices.
+/// @param visit  visit(x, y, z) -> bool: the query is answered, stop
 template <class Visit, class Past>
 bool walk_cells_thick(const GridSpace& grid, const LocalRay& ray, double t_enter, double t_leave,
                       Visit&& visit, Past&& past) {
@@ -221,7 +191,7 @@ bool walk_cells_thick(const GridSpace& grid, const LocalRay& ray, double t_enter
         for (int z = low[2]; z <= high[2]; ++z)
             for (int y = low[1]; y <= high[1]; ++y)
                 for (int x = low[0]; x <= high[0]; ++x)
-                    if (visit(grid.at(x, y, z))) return true;
+                    if (visit(x, y, z)) return true;
         if (s == last || past(std::max(a0, a1) - extra)) return false;
     }
 }

@@ -37,4 +37,13 @@ TreeCosts reference_costs(double node) {
     return costs;
 }
 
+/// Nominal cost of a test by reference in a short list, whose blocks are mostly empty lanes.
+/// @param cost  of the shape alone
+template <class Set>
+double reference_cost(double cost) {
+    if constexpr (std::is_same_v<Set, TriangleSet>)
+        return (cost_constants.triangle_block + cost_constants.triangle_gather) / 2;
+    return cost;
+}
+
 }  // namespace crofton

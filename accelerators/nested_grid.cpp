@@ -23,31 +23,26 @@ class NestedGridWalk {
     /// narrow margins. The depth of the recursion is that of the structure.
     bool enter(uint32_t index) {
         const NestedGridHeader& grid = nested_.grids[index];
-        const uint32_t* codes = nested_.cells.data() + grid.first_cell;
-        double reach[3];
-        bool thick = false;
-        for (int a = 0; a < 3; ++a) {
-            reach[a] = grid.space.reach(ray_, a);
-            thick |= reach[a] > grid.space.margin[a];
-        }
+        const CellBlock* blocks = nested_.blocks.data() + grid.first_block;
+        const bool thick = !exact_.fits(grid.space);
         double t_enter, t_leave;
-        const auto visit = [&](size_t cell) HWY_ATTR {
-            const uint32_t code = codes[cell];
-            counters_.step();
+        if (!meets_grid(grid.space, exact_, ray_, thick, q_, t_enter, t_leave)) return false;
+        const auto visit = [&](uint32_t place) HWY_ATTR {
+            const uint32_t code = nested_.words[place];
             if (code & nested_cell::grid_flag) return enter(code & ~nested_cell::grid_flag);
-            counters_.cell(code == 0);
-            return code != 0 && test_list(nested_.references.data() + (code - 1));
+            counters_.cell(false);
+            if (code & list_code::single_flag) {
+                const uint32_t reference = code & ~list_code::single_flag;
+                return test_shapes_of(&reference, 1);
+            }
+            return test_list(nested_.words.data() + code);
         };
-        const auto past = [&](double t) HWY_ATTR { return t > double(q_.t_cull); };
-        if (HWY_UNLIKELY(thick)) {
-            if (!meets_grid(grid.space, exact_, q_, reach, t_enter, t_leave)) return false;
-            return walk_cells_thick(grid.space, ray_, t_enter, t_leave, visit, past);
-        }
         // The box is a margin larger than what is in it, so that the exact ray is inside it
         // wherever a shape may be hit.
-        constexpr double none[3] = {0, 0, 0};
-        if (!meets_grid(grid.space, exact_, q_, none, t_enter, t_leave)) return false;
-        return walk_grid(grid.space, exact_, t_enter, visit, past);
+        if (HWY_LIKELY(!thick))
+            return BlockWalk(grid.space, blocks, exact_, t_enter, t_leave)
+                .run(true, q_, counters_, visit);
+        return walk_blocks_thick(grid.space, blocks, ray_, q_, t_enter, t_leave, counters_, visit);
     }
 
   private:
@@ -66,20 +61,11 @@ class NestedGridWalk {
         return false;
     }
     bool test_shapes_of(const uint32_t* shapes, uint32_t count) {
-        if constexpr (!UseMailbox) {
-            return test_references<Q>(set_, shapes, count, ray_, q_, counters_);
-        } else {
-            constexpr uint32_t batch = 64;
-            for (uint32_t i = 0; i < count; i += batch) {
-                uint32_t fresh[batch];
-                const uint32_t n = mailbox_.filter(shapes + i, std::min(batch, count - i), fresh);
-                if (n && test_references<Q>(set_, fresh, n, ray_, q_, counters_)) return true;
-            }
-            return false;
-        }
+        return mailbox_.test_fresh(shapes, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
+            return test_stored<Q>(nested_.shapes, set_, fresh, n, ray_, q_, counters_);
+        });
     }
 
-    struct Empty {};
     static constexpr uint32_t remembered = 16;
     const NestedGrid<Set>& nested_;
     const Set& set_;
@@ -87,7 +73,7 @@ class NestedGridWalk {
     RayQuery& q_;
     C& counters_;
     const ExactRay exact_;
-    [[no_unique_address]] std::conditional_t<UseMailbox, Mailbox, Empty> mailbox_;
+    [[no_unique_address]] std::conditional_t<UseMailbox, Mailbox, NoMailbox> mailbox_;
     uint32_t entered_[remembered] = {};  ///< 0, the root, never stands in a list
 };
 
@@ -109,6 +95,7 @@ HWY_AFTER_NAMESPACE();
 CROFTON_ACCELERATOR_KERNELS(NestedGrid, NestedGridTraversal, NestedGridParameters)
 
 #if HWY_ONCE
+#include "accelerators/leaves.h"
 #include "accelerators/shape_clusters.h"
 #include "framework/cost.h"
 #include "framework/crofton.h"
@@ -128,8 +115,9 @@ constexpr size_t most_words_per_shape = 64;  ///< of all cells and references, b
 /// A grid in the making.
 struct Draft {
     GridSpace space;
-    Bounds3 content;                     ///< of what stands in it
-    std::vector<uint32_t> first, items;  ///< per cell; items: shapes, or grid_flag | draft
+    Bounds3 content;  ///< of what stands in it
+    std::vector<uint32_t> first,
+        items;  ///< per cell, by blocks; items: shapes, or grid_flag | draft
     std::vector<std::pair<uint32_t, uint32_t>> children;  ///< cell, draft; by cell
     double cost = 0;                                      ///< of a line that meets the content
     int levels = 0;                                       ///< of grids that may still stand inside
@@ -171,14 +159,17 @@ class NestedGridBuilder {
                 root = build_hierarchy(shapes);
                 break;
         }
+        out_.shapes = ShapeStore<Set>(set_);
         write(root, 0);
+        out_.shapes.finish();
         out_.cost = drafts_[root].cost;
         out_.stats.N_IN = out_.grids.size();
         out_.stats.bytes = out_.grids.size() * sizeof(NestedGridHeader) +
-                           (out_.cells.size() + out_.references.size()) * sizeof(uint32_t);
+                           out_.blocks.size() * sizeof(CellBlock) +
+                           out_.words.size() * sizeof(uint32_t) + out_.shapes.bytes();
         out_.mailbox =
             wants_mailbox(p_.mailbox, std::is_same_v<Set, ObjectSet>, double(out_.stats.N_OIV),
-                          double(active), cost_sum / double(active));
+                          double(active), reference_cost<Set>(cost_sum / double(active)));
     }
 
   private:
@@ -296,13 +287,16 @@ class NestedGridBuilder {
             for (size_t k = begin; k < end; ++k)
                 for (size_t i = k * range; i < std::min(parts.size(), (k + 1) * range); ++i)
                     cells_of_part(draft.space, parts[i], [&](int x, int y, int z) {
-                        entries[k].emplace_back(uint32_t(draft.space.at(x, y, z)), parts[i].item);
+                        entries[k].emplace_back(
+                            uint32_t(blocked_index(draft.space.resolution, x, y, z)),
+                            parts[i].item);
                     });
         });
-        draft.first.assign(draft.space.cells() + 1, 0);
+        const size_t cells = block_count(draft.space.resolution) * 64;
+        draft.first.assign(cells + 1, 0);
         for (const auto& list : entries)
             for (const Entry& e : list) ++draft.first[e.first + 1];
-        for (size_t c = 0; c < draft.space.cells(); ++c) draft.first[c + 1] += draft.first[c];
+        for (size_t c = 0; c < cells; ++c) draft.first[c + 1] += draft.first[c];
         draft.items.resize(draft.first.back());
         std::vector<uint32_t> next(draft.first.begin(), draft.first.end() - 1);
         for (const auto& list : entries)
@@ -339,16 +333,12 @@ class NestedGridBuilder {
     /// levels, a cell with a large share of all shapes (the teapot in the stadium) is a scene of
     /// its own, and has two levels again.
     Draft split(const Draft& parent, uint32_t cell, int level) const {
-        const Vec3i& n = parent.space.resolution;
-        const int x = int(cell % uint32_t(n[0])), y = int(cell / uint32_t(n[0]) % uint32_t(n[1]));
-        const int z = int(cell / uint32_t(n[0]) / uint32_t(n[1]));
-        const Bounds3 box = parent.space.cell_box(x, y, z);
+        const Vec3i at = cell_at(parent.space.resolution, cell);
+        const Bounds3 box = parent.space.cell_box(at[0], at[1], at[2]);
         Bounds3 region = box;
         for (int a = 0; a < 3; ++a) {
-            region.lower[a] =
-                std::nextafter(float(box.lower[a] - parent.space.margin[a]), -INFINITY);
-            region.upper[a] =
-                std::nextafter(float(box.upper[a] + parent.space.margin[a]), INFINITY);
+            region.lower[a] = next_below(float(box.lower[a] - parent.space.margin[a]));
+            region.upper[a] = next_above(float(box.upper[a] + parent.space.margin[a]));
         }
         const std::span<const uint32_t> items = parent.in(cell);
         double least = 0;
@@ -398,7 +388,7 @@ class NestedGridBuilder {
                 });
                 for (size_t t = 0; t < found.size(); ++t) {
                     if (found[t].first.empty()) continue;
-                    words_ += found[t].first.size() + found[t].items.size();
+                    words_ += found[t].space.cells() + found[t].items.size();
                     if (words_ > most_words_) return;
                     const auto& [draft, cell] = tasks[first + t];
                     open.push_back(add(std::move(found[t])));
@@ -476,57 +466,72 @@ class NestedGridBuilder {
     /// Copies a draft and what stands in it to the flat arrays. @return its place in `grids`
     uint32_t write(uint32_t d, uint32_t depth) {
         const uint32_t index = uint32_t(out_.grids.size());
-        const size_t first_cell = out_.cells.size(), count = drafts_[d].space.cells();
-        out_.grids.push_back({drafts_[d].space, uint32_t(first_cell), depth});
-        out_.cells.resize(first_cell + count, 0);
+        const size_t first_block = out_.blocks.size();
+        const Vec3i& n = drafts_[d].space.resolution;
+        const size_t blocks = block_count(n);
+        out_.grids.push_back({drafts_[d].space, uint32_t(first_block), depth});
+        out_.blocks.resize(first_block + blocks);
         out_.stats.depth = std::max(out_.stats.depth, depth + 1);
+        out_.stats.N_V += drafts_[d].space.cells() - drafts_[d].children.size();
+        out_.stats.N_EV += drafts_[d].space.cells();
 
+        // Lists first; grids inside come behind all of them.
         double cost = 0;
+        std::vector<size_t> children, lists_of_grids;  // places of codes, and of lists with grids
         auto child = drafts_[d].children.begin();
-        for (uint32_t c = 0; c < count; ++c) {
-            if (child != drafts_[d].children.end() && child->first == c) {
-                ++child;
-                continue;
+        ListWriter<Set> lists(set_, out_.words, out_.shapes);
+        for (size_t b = 0; b < blocks; ++b) {
+            lists.begin(out_.blocks[first_block + b],
+                        std::span(drafts_[d].first).subspan(b * 64, 65));
+            for (size_t c = b * 64; c < b * 64 + 64; ++c) {
+                const std::span<const uint32_t> items = drafts_[d].in(c);
+                if (items.empty()) continue;
+                --out_.stats.N_EV;
+                if (child != drafts_[d].children.end() && child->first == c) {
+                    ++child;
+                    children.push_back(lists.put(grid_flag));
+                    continue;
+                }
+                for (const uint32_t item : items) cost += item_cost(item);
+                write_list(items, lists, lists_of_grids);
             }
-            const std::span<const uint32_t> items = drafts_[d].in(c);
-            ++out_.stats.N_V;
-            out_.stats.N_EV += items.empty();
-            if (!items.empty()) out_.cells[first_cell + c] = write_list(items);
-            for (const uint32_t item : items) cost += item_cost(item);
         }
-        for (const auto& [c, inner] : drafts_[d].children) {
-            out_.cells[first_cell + c] = grid_flag | write(inner, depth + 1);
+        measure_clearance(std::span(out_.blocks).subspan(first_block), blocks_of(n));
+        for (size_t i = 0; i < children.size(); ++i) {
+            const uint32_t inner = drafts_[d].children[i].second;
+            const uint32_t place = write(inner, depth + 1);
+            out_.words[children[i]] = grid_flag | place;
             cost += enter_cost + drafts_[inner].cost;
         }
-        patch_lists(d, first_cell, depth);
+        for (const size_t list : lists_of_grids) write_grids_of(list, depth);
         drafts_[d].cost = line_cost(drafts_[d], cost);
         return index;
     }
-    uint32_t write_list(std::span<const uint32_t> items) {
-        const uint32_t place = uint32_t(out_.references.size());
-        uint32_t shapes = 0;
+    void write_list(std::span<const uint32_t> items, ListWriter<Set>& lists,
+                    std::vector<size_t>& lists_of_grids) {
+        size_t shapes = 0;
         while (shapes < items.size() && !(items[shapes] & grid_flag)) ++shapes;
-        const uint32_t grids = uint32_t(items.size()) - shapes;
-        out_.references.push_back(shapes | (grids > 0 ? grid_flag : 0));
-        out_.references.insert(out_.references.end(), items.begin(), items.begin() + shapes);
-        if (grids > 0) out_.references.push_back(grids);
-        out_.references.insert(out_.references.end(), items.begin() + shapes, items.end());
         out_.stats.N_OIV += shapes;
-        return place + 1;
+        if (shapes == items.size()) {
+            lists.add(items);
+            return;
+        }
+        AlignedVector<uint32_t>& words = out_.words;
+        lists_of_grids.push_back(words.size());
+        lists.put(uint32_t(words.size()));
+        words.push_back(uint32_t(shapes) | grid_flag);
+        for (size_t i = 0; i < shapes; ++i) words.push_back(out_.shapes.place(set_, items[i]));
+        words.push_back(uint32_t(items.size() - shapes));
+        words.insert(words.end(), items.begin() + ptrdiff_t(shapes), items.end());
     }
-    /// Writes the grids that stand in lists, each once, and puts their places into the lists.
-    void patch_lists(uint32_t d, size_t first_cell, uint32_t depth) {
-        for (size_t c = 0; c < drafts_[d].space.cells(); ++c) {
-            const uint32_t code = out_.cells[first_cell + c];
-            if (code == 0 || (code & grid_flag) || !(out_.references[code - 1] & grid_flag))
-                continue;
-            const size_t grids = code + (out_.references[code - 1] & ~grid_flag);
-            for (size_t i = grids + 1; i <= grids + out_.references[grids]; ++i) {
-                const uint32_t draft = out_.references[i] & ~grid_flag;
-                auto [it, fresh] = written_.try_emplace(draft, 0);
-                if (fresh) it->second = write(draft, depth + 1);
-                out_.references[i] = it->second;
-            }
+    /// Writes the grids that stand in a list, each once, and puts their places into it.
+    void write_grids_of(size_t list, uint32_t depth) {
+        const size_t grids = list + 1 + (out_.words[list] & ~grid_flag);
+        for (size_t i = grids + 1; i <= grids + out_.words[grids]; ++i) {
+            const uint32_t draft = out_.words[i] & ~grid_flag;
+            auto [it, fresh] = written_.try_emplace(draft, 0);
+            if (fresh) it->second = write(draft, depth + 1);
+            out_.words[i] = it->second;
         }
     }
 
@@ -558,13 +563,18 @@ void NestedGrid<Set>::walk(const BoxVisitor& visit) const {
     };
     for (const NestedGridHeader& grid : grids) {
         visit(inside(grid.space.box), grid.depth, false, 0);
-        const uint32_t* code = cells.data() + grid.first_cell;
-        for (int z = 0; z < grid.space.resolution[2]; ++z)
-            for (int y = 0; y < grid.space.resolution[1]; ++y)
-                for (int x = 0; x < grid.space.resolution[0]; ++x, ++code) {
-                    if (*code & nested_cell::grid_flag) continue;
-                    const uint32_t n = *code ? references[*code - 1] & ~nested_cell::grid_flag : 0;
-                    visit(inside(grid.space.cell_box(x, y, z)), grid.depth + 1, true, n);
+        const Vec3i& n = grid.space.resolution;
+        for (int z = 0; z < n[2]; ++z)
+            for (int y = 0; y < n[1]; ++y)
+                for (int x = 0; x < n[0]; ++x) {
+                    const uint32_t place =
+                        code_place(blocks.data() + grid.first_block, blocked_index(n, x, y, z));
+                    const uint32_t code = place == no_code ? 0 : words[place];
+                    if (code & nested_cell::grid_flag) continue;
+                    const uint32_t count = place == no_code ? 0
+                                                            : list_length(code, words.data()) &
+                                                                  ~nested_cell::grid_flag;
+                    visit(inside(grid.space.cell_box(x, y, z)), grid.depth + 1, true, count);
                 }
     }
 }

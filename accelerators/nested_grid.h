@@ -1,7 +1,9 @@
 #pragma once
 
+#include "accelerators/cell_blocks.h"
 #include "accelerators/grid_space.h"
 #include "accelerators/mailbox.h"
+#include "accelerators/shape_store.h"
 #include "accelerators/uniform_grid.h"
 #include "framework/aligned.h"
 #include "framework/primitive.h"
@@ -41,24 +43,22 @@ struct NestedGridParameters {
     }
 };
 
-/// One of the grids: its geometry, and where its cells begin.
+/// One of the grids: its geometry, and where its blocks of cells begin.
 struct NestedGridHeader {
     GridSpace space;
-    uint32_t first_cell = 0;
+    uint32_t first_block = 0;
     uint32_t depth = 0;  ///< 0: the root
 
     template <class A>
     void archive(A& a) {
-        a(space, first_cell, depth);
+        a(space, first_block, depth);
     }
 };
 
-/// A code of a cell, in one word:
-///   0                    empty
-///   grid_flag | g        the cell is grid g
-///   1 + i                a list at references[i]: the number of shapes, then them, ascending. If
-///                        the number bears grid_flag, the number of grids follows the shapes, then
-///                        the grids: objects that stand in several cells.
+/// A cell that is not empty has the code of a list (see list_code), or
+///   grid_flag | g     the cell is grid g
+/// If the number of a list's references bears grid_flag, the number of grids follows the
+/// references, then the grids: objects that stand in several cells.
 namespace nested_cell {
 inline constexpr uint32_t grid_flag = 1u << 31;
 }
@@ -67,11 +67,12 @@ inline constexpr uint32_t grid_flag = 1u << 31;
 template <class Set>
 struct NestedGrid {
     static constexpr const char* name = "nested_grid";
-    static constexpr bool reads_set = true;
+    static constexpr bool reads_set = ShapeStore<Set>::keeps_set;
 
     AlignedVector<NestedGridHeader> grids;  ///< the root first; empty: no shapes
-    AlignedVector<uint32_t> cells;          ///< codes, grid after grid
-    AlignedVector<uint32_t> references;     ///< lists
+    AlignedVector<CellBlock> blocks;        ///< of cells, grid after grid
+    AlignedVector<uint32_t> words;          ///< block by block: codes, then lists
+    ShapeStore<Set> shapes;
     bool mailbox = false;
     Bounds3 box;  ///< of the shapes; grids are a margin larger
     double cost = 0;
@@ -80,7 +81,7 @@ struct NestedGrid {
     static NestedGrid build(const Set& set, const NestedGridParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(grids, cells, references, mailbox, box, cost, stats);
+        a(grids, blocks, words, shapes, mailbox, box, cost, stats);
     }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }

@@ -62,16 +62,10 @@ class SparseGridWalk {
           test_(test) {}
 
     bool run(const UpperNode& root) {
-        bool thick = false;
-        for (int a = 0; a < 3; ++a) {
-            reach_[a] = space_.reach(ray_, a);
-            thick |= reach_[a] > space_.margin[a];
-        }
         const int base[3] = {0, 0, 0};
-        if (HWY_UNLIKELY(thick)) return enter_thick(root, base);
-        constexpr double none[3] = {0, 0, 0};
+        if (HWY_UNLIKELY(!exact_.fits(space_))) return enter_thick(root, base);
         double t_enter;
-        if (!meets_grid(space_, exact_, q_, none, t_enter, t_leave_)) return false;
+        if (!meets_grid(space_, exact_, ray_, false, q_, t_enter, t_leave_)) return false;
         return enter(root, base, t_enter);
     }
 
@@ -157,10 +151,9 @@ class SparseGridWalk {
             blocks.box.upper[a] = float(blocks.plane(a, blocks.resolution[a]));
         }
         double t_enter, t_leave;
-        if (!meets_grid(blocks, exact_, q_, reach_, t_enter, t_leave)) return false;
-        const auto visit_block = [&](size_t cell) HWY_ATTR {
-            const int nx = blocks.resolution[0], ny = blocks.resolution[1];
-            const int i[3] = {int(cell % nx), int(cell / nx % ny), int(cell / nx / ny)};
+        if (!meets_grid(blocks, exact_, ray_, true, q_, t_enter, t_leave)) return false;
+        const auto visit_block = [&](int x, int y, int z) HWY_ATTR {
+            const int i[3] = {x, y, z};
             return visit_thick(node, base, i);
         };
         const auto past = [&](double t) HWY_ATTR { return t > double(q_.t_cull); };
@@ -192,7 +185,6 @@ class SparseGridWalk {
     RayQuery& q_;
     C& counters_;
     Test& test_;
-    double reach_[3];
     double t_leave_;  ///< where the exact ray leaves the grid
 };
 
@@ -201,26 +193,23 @@ struct SparseGridTraversal {
     static bool run(const SparseGrid<Set>& grid, const Set& set, const LocalRay& ray, RayQuery& q,
                     C& counters) {
         if (grid.classes.empty()) return false;
-        if (!grid.mailbox) {
-            const auto test = [&](const uint32_t* shapes, uint32_t count) HWY_ATTR {
-                return test_references<Q>(set, shapes, count, ray, q, counters);
-            };
-            return run_classes<Q>(grid, ray, q, counters, test);
-        }
-        Mailbox mailbox;
-        const auto test = [&](const uint32_t* shapes, uint32_t count) HWY_ATTR {
-            constexpr uint32_t batch = 64;
-            for (uint32_t i = 0; i < count; i += batch) {
-                uint32_t fresh[batch];
-                const uint32_t n = mailbox.filter(shapes + i, std::min(batch, count - i), fresh);
-                if (n && test_references<Q>(set, fresh, n, ray, q, counters)) return true;
-            }
-            return false;
-        };
-        return run_classes<Q>(grid, ray, q, counters, test);
+        return grid.mailbox ? run_with<Q, Mailbox>(grid, set, ray, q, counters)
+                            : run_with<Q, NoMailbox>(grid, set, ray, q, counters);
     }
 
   private:
+    template <Query Q, class Box, class Set, class C>
+    static bool run_with(const SparseGrid<Set>& grid, const Set& set, const LocalRay& ray,
+                         RayQuery& q, C& counters) {
+        Box mailbox;
+        const auto test = [&](const uint32_t* shapes, uint32_t count) HWY_ATTR {
+            return mailbox.test_fresh(
+                shapes, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
+                    return test_references<Q>(set, fresh, n, ray, q, counters);
+                });
+        };
+        return run_classes<Q>(grid, ray, q, counters, test);
+    }
     template <Query Q, class Test, class Set, class C>
     static bool run_classes(const SparseGrid<Set>& grid, const LocalRay& ray, RayQuery& q,
                             C& counters, const Test& test) {

@@ -1,7 +1,9 @@
 #pragma once
 
+#include "accelerators/cell_blocks.h"
 #include "accelerators/grid_space.h"
 #include "accelerators/mailbox.h"
+#include "accelerators/shape_store.h"
 #include "framework/aligned.h"
 #include "framework/primitive.h"
 
@@ -20,6 +22,7 @@ struct UniformGridParameters {
     ResolutionRule resolution = ResolutionRule::pbrt;
     double density = 1.0;
     int resolution_x = 32, resolution_y = 32, resolution_z = 32;
+    bool skip_empty = true;
     MailboxMode mailbox = MailboxMode::automatic;
 
     template <class V>
@@ -30,6 +33,7 @@ struct UniformGridParameters {
         v.integer("resolution_x", resolution_x, 1, 2048, "cells along x, for the fixed rule");
         v.integer("resolution_y", resolution_y, 1, 2048, "cells along y, for the fixed rule");
         v.integer("resolution_z", resolution_z, 1, 2048, "cells along z, for the fixed rule");
+        v.boolean("skip_empty", skip_empty, "pass empty regions in one step");
         v.choice("mailbox", mailbox, {"off", "on", "auto"},
                  "test a shape once per ray; auto: where shapes are dear and repeat");
     }
@@ -43,22 +47,24 @@ Vec3i grid_resolution(const UniformGridParameters& parameters, const Bounds3& bo
 template <class Set>
 struct UniformGrid {
     static constexpr const char* name = "uniform_grid";
-    static constexpr bool reads_set = true;
+    static constexpr bool reads_set = ShapeStore<Set>::keeps_set;
 
     GridSpace space;
+    Bounds3 box;  ///< of the shapes; the grid is a margin larger
     bool mailbox = false;
-    AlignedVector<uint32_t> first;       ///< per cell, into references; one more at the end
-    AlignedVector<uint32_t> references;  ///< ascending within a cell
-    uint32_t longest = 0;                ///< references in the fullest cell
+    bool skip_empty = true;
+    AlignedVector<CellBlock> blocks;  ///< empty: no shapes
+    AlignedVector<uint32_t> words;    ///< block by block: codes of lists, then the lists
+    ShapeStore<Set> shapes;
     double cost = 0;
     StructureStatistics stats;
 
     static UniformGrid build(const Set& set, const UniformGridParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(space, mailbox, first, references, longest, cost, stats);
+        a(space, box, mailbox, skip_empty, blocks, words, shapes, cost, stats);
     }
-    const Bounds3& bounds() const { return space.box; }
+    const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
     StructureStatistics statistics() const { return stats; }
     void walk(const BoxVisitor& visit) const;
