@@ -107,35 +107,41 @@ HWY_INLINE bool meets_grid(const GridSpace& grid, const ExactRay& ray, const Loc
 }
 
 /// Follows the exact ray through a grid in blocks, cell by cell (3D-DDA: Amanatides & Woo 1987),
-/// over empty blocks at once. A step loads nothing unless it enters another block.
+/// over empty blocks at once.
 ///
-/// The t of a plane is a linear function of its index, so that no error adds up along the way.
-/// Where it is rounded, the walk is off by far less than the margin of the cells.
+/// Cells are counted the way the ray goes, so that every axis counts up. A step has no branch that
+/// depends on the axis: where the ray meets two planes at once, it passes both; a shape at their
+/// edge stands in the cells around it, by their margin. The t of a plane is a linear function of
+/// its index, never a sum, so that no error adds up and the ray cannot step out of the grid.
 class BlockWalk {
+    using D = hn::FixedTag<double, 2>;
+    using V = hn::Vec<D>;
+
   public:
-    BlockWalk(const GridSpace& grid, const CellBlock* blocks, const ExactRay& ray, double t_enter,
-              double t_leave)
-        : block_(blocks), t_leave_(t_leave) {
+    BlockWalk(const GridSpace& grid, const CellBlock* blocks, const ExactRay& ray, double t_enter)
+        : blocks_(blocks) {
         constexpr double infinity = std::numeric_limits<double>::infinity();
+        double exit = infinity;
         ptrdiff_t stride = 1;
         for (int a = 0; a < 3; ++a) {
-            const int i = grid.index(a, ray.at(t_enter, a)), n = blocks_along(grid.resolution[a]);
-            const bool up = ray.direction[a] > 0, still = ray.direction[a] == 0;
-            zero_[a] = still ? infinity : (grid.lower[a] - ray.origin[a]) * ray.inverse[a];
-            pace_[a] = still ? 0 : grid.cell[a] * ray.inverse[a];
+            const int n = blocks_along(grid.resolution[a]);
+            const int i = grid.index(a, ray.at(t_enter, a));
+            const double zero = (grid.lower[a] - ray.origin[a]) * ray.inverse[a];
+            const double pace = grid.cell[a] * ray.inverse[a];
+            const bool down = ray.direction[a] < 0, still = ray.direction[a] == 0;
+            const int end = down ? 4 * n : grid.resolution[a];
+            zero_[a] = still ? infinity : down ? zero + 4 * n * pace : zero;
+            pace_[a] = still ? 0 : std::abs(pace);
             rate_[a] = std::abs(ray.direction[a]) * grid.inverse_cell[a];
-            up_[a] = up;
-            step_[a] = up ? 1 : -1;
-            index_[a] = i + int(up);
-            next_[a] = zero_[a] + index_[a] * pace_[a];
-            left_[a] = up ? 3 - (i & 3) : i & 3;
-            blocks_left_[a] = up ? n - 1 - (i >> 2) : i >> 2;
-            block_ += (i >> 2) * stride;
-            bit_ += uint32_t(i & 3) << (2 * a);
-            block_step_[a] = up ? stride : -stride;
+            exit = std::min(exit, zero_[a] + end * pace_[a]);
+            last_[a] = end - 1;
+            pos_ |= uint64_t(down ? 4 * n - 1 - i : i) << (bits * a);
+            flip_ |= down ? 3u << (2 * a) : 0u;
+            blocks_ += down ? (n - 1) * stride : 0;
+            stride_[a] = down ? -stride : stride;
             stride *= n;
         }
-        occupied_ = block_->occupied;
+        exit_ = exit;
     }
 
     /// @param visit  visit(place of the cell's code) -> bool: the query is answered, stop
@@ -143,90 +149,95 @@ class BlockWalk {
     /// @return whether `visit` stopped the walk
     template <class C, class Visit>
     HWY_INLINE bool run(bool skip, const RayQuery& q, C& counters, Visit&& visit) {
-        double t_limit = std::min(t_leave_, double(q.t_cull));
+        const D d;
+        const V one = hn::Set(d, 1.0);
+        const V zero_xy = hn::LoadU(d, zero_), pace_xy = hn::LoadU(d, pace_);
+        const V zero_z = hn::Set(d, zero_[2]), pace_z = hn::Set(d, pace_[2]);
+        // The plane behind the cell, the one behind it, and their t. Both lanes of z are the same.
+        V plane_xy, plane_z, next_xy, next_z;
+        const auto set_planes = [&] {
+            plane_xy =
+                hn::ConcatLowerLower(d, hn::Set(d, along(1) + 1.0), hn::Set(d, along(0) + 1.0));
+            plane_z = hn::Set(d, along(2) + 1.0);
+            next_xy = hn::Add(zero_xy, hn::Mul(plane_xy, pace_xy));
+            next_z = hn::Add(zero_z, hn::Mul(plane_z, pace_z));
+        };
+        set_planes();
+        double t_cull = q.t_cull;
         while (true) {
+            const uint32_t x = along(0), y = along(1), z = along(2);
+            const CellBlock& block =
+                blocks_[(x >> 2) * stride_[0] + (y >> 2) * stride_[1] + (z >> 2) * stride_[2]];
+            const uint32_t bit = ((x & 3) | (y & 3) << 2 | (z & 3) << 4) ^ flip_;
             counters.step();
-            if (occupied_ >> bit_ & 1) {
-                const uint64_t before = occupied_ & ((uint64_t(1) << bit_) - 1);
-                if (visit(block_->first + uint32_t(hwy::PopCount(before)))) return true;
-                t_limit = std::min(t_leave_, double(q.t_cull));
+            if (block.occupied >> bit & 1) {
+                const uint64_t before = block.occupied & ((uint64_t(1) << bit) - 1);
+                if (visit(block.first + uint32_t(hwy::PopCount(before)))) return true;
+                t_cull = q.t_cull;
             } else {
                 counters.cell(true);
-                if (occupied_ == 0 && skip) {
-                    if (!jump(t_limit)) return false;
+                if (block.occupied == 0 && skip) {
+                    if (!jump(block.clear, t_cull)) return false;
+                    set_planes();
                     continue;
                 }
             }
-            // Called with constants, so that all of it stays in registers.
-            const bool on =
-                next_[0] <= next_[1]
-                    ? (next_[0] <= next_[2] ? advance(0, t_limit) : advance(2, t_limit))
-                    : (next_[1] <= next_[2] ? advance(1, t_limit) : advance(2, t_limit));
-            if (!on) return false;
+            const V after_xy = hn::Add(zero_xy, hn::Mul(hn::Add(plane_xy, one), pace_xy));
+            const V after_z = hn::Add(zero_z, hn::Mul(hn::Add(plane_z, one), pace_z));
+            V t = hn::Min(next_xy, next_z);
+            t = hn::Min(t, hn::Shuffle01(t));
+            const double t_step = hn::GetLane(t);
+            if (t_step >= exit_ || t_step > t_cull) return false;
+            const auto on_xy = hn::Eq(next_xy, t), on_z = hn::Eq(next_z, t);
+            next_xy = hn::IfThenElse(on_xy, after_xy, next_xy);
+            next_z = hn::IfThenElse(on_z, after_z, next_z);
+            plane_xy = hn::Add(plane_xy, hn::IfThenElseZero(on_xy, one));
+            plane_z = hn::Add(plane_z, hn::IfThenElseZero(on_z, one));
+            uint8_t xy[8], zz[8];
+            hn::StoreMaskBits(d, on_xy, xy);
+            hn::StoreMaskBits(d, on_z, zz);
+            static constexpr uint64_t moves[4] = {0, 1, uint64_t(1) << bits,
+                                                  1 | uint64_t(1) << bits};
+            pos_ += moves[xy[0] & 3] + (uint64_t(zz[0] & 1) << (2 * bits));
         }
     }
 
   private:
-    HWY_INLINE bool advance(int a, double t_limit) {
-        if (next_[a] > t_limit) return false;
-        index_[a] += step_[a];
-        next_[a] = zero_[a] + index_[a] * pace_[a];
-        const int bits = up_[a] ? 1 << (2 * a) : -(1 << (2 * a));
-        if (--left_[a] >= 0) {
-            bit_ += uint32_t(bits);
-            return true;
-        }
-        if (--blocks_left_[a] < 0) return false;
-        left_[a] = 3;
-        bit_ -= uint32_t(3 * bits);
-        block_ += block_step_[a];
-        occupied_ = block_->occupied;
-        return true;
-    }
+    static constexpr int bits = 21;  ///< of pos_ for each axis
+
+    uint32_t along(int a) const { return uint32_t(pos_ >> (bits * a)) & ((1u << bits) - 1); }
+
     /// To where the ray leaves the cube of empty blocks around this one (after the proximity clouds
     /// of Cohen & Sheffer 1994). Without a division: `rate_` is cells per t.
-    HWY_INLINE bool jump(double t_limit) {
-        const int reach = 4 * int(block_->clear);
-        double t = std::numeric_limits<double>::infinity(), out[3];
+    /// @return whether that is inside the grid and not behind the best hit
+    HWY_INLINE bool jump(uint32_t clear, double t_cull) {
+        double end[3], out[3];
         for (int a = 0; a < 3; ++a) {
-            out[a] = zero_[a] + (index_[a] + step_[a] * (left_[a] + reach)) * pace_[a];
-            t = std::min(t, out[a]);
+            end[a] = double((along(a) | 3) + 1 + 4 * clear);
+            out[a] = zero_[a] + end[a] * pace_[a];
         }
-        if (t > t_limit) return false;
-        bit_ = 0;
-        bool inside = true;
+        const double t = std::min({out[0], out[1], out[2]});
+        if (t >= exit_ || t > t_cull) return false;
+        uint64_t pos = 0;
         for (int a = 0; a < 3; ++a) {
-            // Planes met by then: the last of the cube's only where the ray leaves through it.
-            const int most = left_[a] + reach + int(out[a] <= t);
-            const int passed =
-                next_[a] <= t ? std::min(int((t - next_[a]) * rate_[a]) + 1, most) : 0;
-            index_[a] += step_[a] * passed;
-            next_[a] = zero_[a] + index_[a] * pace_[a];
-            // Counted the way the ray goes, from where the first block of the walk began.
-            const int from = 3 - left_[a] + passed, over = from >> 2;
-            left_[a] = 3 - (from & 3);
-            blocks_left_[a] -= over;
-            inside &= blocks_left_[a] >= 0;
-            block_ += over * block_step_[a];
-            bit_ += uint32_t(up_[a] ? from & 3 : 3 - (from & 3)) << (2 * a);
+            // The cell at t; not before this one, nor beyond the cube unless it is left there.
+            const double at = pace_[a] > 0 ? (t - zero_[a]) * rate_[a] : 0;
+            const double most = out[a] <= t ? end[a] : std::min(end[a] - 1, last_[a]);
+            const double least = out[a] <= t ? end[a] : double(along(a));
+            pos |= uint64_t(int64_t(std::min(std::max(at, least), most))) << (bits * a);
         }
-        if (!inside) return false;
-        occupied_ = block_->occupied;
+        pos_ = pos;
         return true;
     }
 
-    const CellBlock* block_;
-    uint64_t occupied_ = 0;  ///< of the block
-    uint32_t bit_ = 0;       ///< of the cell in it
-    double t_leave_;
-    double zero_[3], pace_[3];   ///< t of plane i is zero + i·pace; d = 0: zero is infinity
-    double rate_[3];             ///< cells per t
-    double index_[3], next_[3];  ///< of the plane behind the cell, and its t
-    double step_[3];             ///< of index_: ±1
-    int left_[3];                ///< cells of the block behind this one, per axis
-    int blocks_left_[3];         ///< of the grid behind the block
-    ptrdiff_t block_step_[3];
-    bool up_[3];
+    const CellBlock* blocks_;   ///< the first one of the ray's octant
+    uint64_t pos_ = 0;          ///< of the cell, the way the ray goes: x, y, z
+    uint32_t flip_ = 0;         ///< from there to the bit of the cell
+    double exit_;               ///< where the ray leaves the grid
+    double zero_[3], pace_[3];  ///< t of plane i is zero + i·pace; d = 0: zero is infinity
+    double rate_[3];            ///< cells per t
+    double last_[3];            ///< cell of the grid
+    ptrdiff_t stride_[3];       ///< of blocks
 };
 
 /// The same for a ray thicker than the margins of the cells.

@@ -40,8 +40,7 @@ class NestedGridWalk {
         // The box is a margin larger than what is in it, so that the exact ray is inside it
         // wherever a shape may be hit.
         if (HWY_LIKELY(!thick))
-            return BlockWalk(grid.space, blocks, exact_, t_enter, t_leave)
-                .run(true, q_, counters_, visit);
+            return BlockWalk(grid.space, blocks, exact_, t_enter).run(true, q_, counters_, visit);
         return walk_blocks_thick(grid.space, blocks, ray_, q_, t_enter, t_leave, counters_, visit);
     }
 
@@ -106,7 +105,8 @@ namespace {
 
 using nested_cell::grid_flag;
 
-constexpr double enter_cost = 12.0;          ///< nominal ns to enter a grid
+constexpr double enter_cost = 40.0;          ///< nominal ns to enter a grid
+constexpr double list_access = 8.0;          ///< and to find a list and ask the mailbox
 constexpr double two_level_coarseness = 16;  ///< the top grid of two has so many fewer cells
 constexpr double merge_ratio = 1.5;          ///< Havran & Sixta 1999: f of their adaptive grids
 constexpr double most_per_shape = 32;        ///< references and cells of one grid, per shape in it
@@ -192,9 +192,22 @@ class NestedGridBuilder {
 
     // What a shape and a grid that stands in cells have in common.
     double item_cost(uint32_t item) const {
-        if (item & grid_flag) return enter_cost + drafts_[item & ~grid_flag].cost;
-        const bool gathered = std::is_same_v<Set, TriangleSet>;
-        return set_.cost(item) + (gathered ? cost_constants.triangle_gather / 4 : 0);
+        return item & grid_flag ? enter_cost + drafts_[item & ~grid_flag].cost : set_.cost(item);
+    }
+    /// Triangles are tested by fours: what spares a cell its second block gains, what only leaves
+    /// lanes empty does not.
+    double list_cost(std::span<const uint32_t> items) const {
+        if (items.empty()) return 0;
+        double sum = list_access;
+        size_t triangles = 0;
+        for (const uint32_t item : items) {
+            if (std::is_same_v<Set, TriangleSet> && !(item & grid_flag))
+                ++triangles;
+            else
+                sum += item_cost(item);
+        }
+        constexpr double block = cost_constants.triangle_block + cost_constants.triangle_gather;
+        return sum + double((triangles + 3) / 4) * block;
     }
     Bounds3 item_box(uint32_t item) const {
         return item & grid_flag ? drafts_[item & ~grid_flag].content : set_.bounds(item);
@@ -260,8 +273,8 @@ class NestedGridBuilder {
         return draft;
     }
 
-    /// What flat_cost will be, from a sample of many items: where shapes lie on top of each other,
-    /// no grid tells them apart, and none should be tried in full.
+    /// What flat_cost will be at least, from a sample of many items: where shapes lie on top of
+    /// each other, no grid tells them apart, and none should be tried in full.
     double sampled_cost(const std::vector<Part>& parts, const Draft& draft) const {
         constexpr size_t many = 2048;
         if (parts.size() < many) return 0;
@@ -272,7 +285,9 @@ class NestedGridBuilder {
         trial.space = draft.space;
         trial.content = draft.content;
         sort_into_cells(sample, trial);
-        return flat_cost(trial) * double(parts.size()) / double(sample.size());
+        double sum = 0;
+        for (const uint32_t item : trial.items) sum += item_cost(item);
+        return line_cost(trial, sum * double(parts.size()) / double(sample.size()));
     }
     static double probability(const Bounds3& inner, const Bounds3& outer) {
         return std::clamp(hit_probability(inner, outer), 0x1p-20, 1.0);
@@ -321,7 +336,7 @@ class NestedGridBuilder {
     /// Expected cost of a line that meets the content, all cells being lists.
     double flat_cost(const Draft& draft) const {
         double sum = 0;
-        for (const uint32_t item : draft.items) sum += item_cost(item);
+        for (size_t c = 0; c + 1 < draft.first.size(); ++c) sum += list_cost(draft.in(c));
         return line_cost(draft, sum);
     }
     double line_cost(const Draft& draft, double cost_of_cells) const {
@@ -341,8 +356,7 @@ class NestedGridBuilder {
             region.upper[a] = next_above(float(box.upper[a] + parent.space.margin[a]));
         }
         const std::span<const uint32_t> items = parent.in(cell);
-        double least = 0;
-        for (const uint32_t item : items) least += item_cost(item);
+        double least = list_cost(items);
         Draft best;
         const auto offer = [&](double density, int levels) {
             Draft draft = make(items, &region, density, least);
@@ -492,7 +506,7 @@ class NestedGridBuilder {
                     children.push_back(lists.put(grid_flag));
                     continue;
                 }
-                for (const uint32_t item : items) cost += item_cost(item);
+                cost += list_cost(items);
                 write_list(items, lists, lists_of_grids);
             }
         }

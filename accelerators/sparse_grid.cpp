@@ -51,10 +51,10 @@ namespace HWY_NAMESPACE {
 template <Query Q, class Test, class Set, class C>
 class SparseGridWalk {
   public:
-    SparseGridWalk(const GridSpace& space, const uint32_t* references, const LocalRay& ray,
+    SparseGridWalk(const GridSpace& space, const uint32_t* words, const LocalRay& ray,
                    const ExactRay& exact, RayQuery& q, C& counters, Test& test)
         : space_(space),
-          references_(references),
+          words_(words),
           ray_(ray),
           exact_(exact),
           q_(q),
@@ -131,8 +131,7 @@ class SparseGridWalk {
         const bool active = leaf.valueMask().isOn(offset);
         counters_.cell(!active);
         if (!active) return false;
-        const uint32_t* list = references_ + (leaf.getValue(offset) - 1);
-        return test_(list + 1, *list);
+        return test_list(uint32_t(leaf.getValue(offset)), words_, test_);
     }
 
     /// The same for a ray that is thicker than the margins: every node looks at all its blocks that
@@ -179,7 +178,7 @@ class SparseGridWalk {
     }
 
     const GridSpace& space_;
-    const uint32_t* references_;
+    const uint32_t* words_;
     const LocalRay& ray_;
     const ExactRay& exact_;
     RayQuery& q_;
@@ -205,7 +204,7 @@ struct SparseGridTraversal {
         const auto test = [&](const uint32_t* shapes, uint32_t count) HWY_ATTR {
             return mailbox.test_fresh(
                 shapes, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
-                    return test_references<Q>(set, fresh, n, ray, q, counters);
+                    return test_stored<Q>(grid.shapes, set, fresh, n, ray, q, counters);
                 });
         };
         return run_classes<Q>(grid, ray, q, counters, test);
@@ -215,8 +214,8 @@ struct SparseGridTraversal {
                             C& counters, const Test& test) {
         const ExactRay exact(ray, q);
         for (const SparseGridClass& one : grid.classes) {
-            SparseGridWalk<Q, const Test, Set, C> walk(one.space, grid.references.data(), ray,
-                                                       exact, q, counters, test);
+            SparseGridWalk<Q, const Test, Set, C> walk(one.space, grid.words.data(), ray, exact, q,
+                                                       counters, test);
             if (walk.run(upper_node(*one.voxels))) return true;
         }
         return false;
@@ -235,6 +234,7 @@ CROFTON_ACCELERATOR_KERNELS(SparseGrid, SparseGridTraversal, SparseGridParameter
 #include <nanovdb/util/OpenToNanoVDB.h>
 
 #include "accelerators/binary_tree.h"
+#include "accelerators/leaves.h"
 #include "framework/cost.h"
 #include "framework/crofton.h"
 #include "framework/parallel.h"
@@ -312,17 +312,20 @@ class SparseGridBuilder {
             cost_sum += r.cost;
         }
         const double active = double(shapes.size());
+        out_.shapes = ShapeStore<Set>(set_);
         for (int left = p_.size_classes; !shapes.empty(); --left) {
             std::vector<BuildReference> large =
                 left > 1 ? split_off_large(shapes) : std::vector<BuildReference>{};
-            add_class(shapes);
+            add_class(shapes, voxel_for(shapes, bounds_of(shapes)), p_.refinements);
             shapes = std::move(large);
         }
         std::reverse(out_.classes.begin(), out_.classes.end());
         out_.stats.depth = 3;
-        out_.stats.bytes += out_.references.size() * sizeof(uint32_t);
-        out_.mailbox = wants_mailbox(p_.mailbox, std::is_same_v<Set, ObjectSet>,
-                                     double(out_.stats.N_OIV), active, cost_sum / active);
+        out_.shapes.finish();
+        out_.stats.bytes += out_.words.size() * sizeof(uint32_t) + out_.shapes.bytes();
+        out_.mailbox =
+            wants_mailbox(p_.mailbox, std::is_same_v<Set, ObjectSet>, double(out_.stats.N_OIV),
+                          active, reference_cost<Set>(cost_sum / active));
     }
 
   private:
@@ -342,9 +345,15 @@ class SparseGridBuilder {
         std::vector<double> extents(shapes.size());
         for (size_t i = 0; i < shapes.size(); ++i) extents[i] = extent_of(shapes[i].bounds);
         std::nth_element(extents.begin(), extents.begin() + extents.size() / 2, extents.end());
-        return std::max({extents[extents.size() / 2] / p_.density,
-                         extent_of(content) / p_.max_resolution,
+        return std::max({extents[extents.size() / 2] / p_.density, finest(content),
                          double(std::numeric_limits<float>::min())});
+    }
+    /// Largest coordinate of the whole shapes, whatever part of them is meant.
+    double magnitude_of(const std::vector<BuildReference>& shapes) const {
+        double magnitude = 0;
+        for (const BuildReference& r : shapes)
+            magnitude = std::max(magnitude, double(set_.bounds(r.shape).magnitude()));
+        return magnitude;
     }
     static double references_of(const std::vector<BuildReference>& shapes, double voxel) {
         double sum = 0;
@@ -368,9 +377,9 @@ class SparseGridBuilder {
     }
 
     /// Shapes by voxel, at the finest resolution that memory allows.
+    /// @param voxel  its edge, if so
     std::vector<Entry> entries_of(const std::vector<BuildReference>& shapes, const Bounds3& content,
-                                  GridSpace& space) const {
-        double voxel = voxel_for(shapes, content);
+                                  double voxel, GridSpace& space) const {
         while (references_of(shapes, voxel) > most_references * double(shapes.size()) + 4096 &&
                voxel < extent_of(content))
             voxel *= 1.25;
@@ -380,7 +389,7 @@ class SparseGridBuilder {
                 const double extent = double(content.upper[a]) - content.lower[a];
                 n[a] = int(std::clamp(std::ceil(extent / voxel), 1.0, double(p_.max_resolution)));
             }
-            space = widened_space(content, n, content.magnitude(), out_.box.magnitude());
+            space = widened_space(content, n, magnitude_of(shapes), out_.box.magnitude());
             std::vector<Entry> entries = enter_all(shapes, space);
             radix_sort(entries);
             size_t leaves = 0;
@@ -399,46 +408,97 @@ class SparseGridBuilder {
         parallel_for(parts.size(), 1, [&](size_t begin, size_t end) {
             for (size_t part = begin; part < end; ++part)
                 for (size_t i = part * range; i < std::min(shapes.size(), (part + 1) * range); ++i)
-                    for_each_cell(space, set_, shapes[i].shape, [&](int x, int y, int z) {
-                        parts[part].push_back({voxel_key(x, y, z), shapes[i].shape});
-                    });
+                    for_each_cell(space, set_, shapes[i].shape, shapes[i].bounds,
+                                  [&](int x, int y, int z) {
+                                      parts[part].push_back({voxel_key(x, y, z), shapes[i].shape});
+                                  });
         });
         std::vector<Entry> all;
         for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
         return all;
     }
 
-    void add_class(const std::vector<BuildReference>& shapes) {
+    /// Adds a grid for shapes, or for parts of them that fill voxels of another.
+    void add_class(const std::vector<BuildReference>& shapes, double voxel, int refinements) {
         const Bounds3 content = bounds_of(shapes);
         SparseGridClass one;
-        const std::vector<Entry> entries = entries_of(shapes, content, one.space);
+        const std::vector<Entry> entries =
+            entries_of(shapes, content, std::max(voxel, finest(content)), one.space);
+        const double finer = finer_voxel(entries, one.space, refinements);
         const auto tree = openvdb::Int32Grid::create(0);
         auto accessor = tree->getAccessor();
+        std::vector<BuildReference> crowd;
+        std::vector<uint32_t> list;
         double cost = 0;
-        size_t voxels = 0;
+        size_t voxels = 0, references = 0;
         for (size_t i = 0, end; i < entries.size(); i = end) {
-            end = i;
-            while (end < entries.size() && entries[end].key == entries[i].key) ++end;
-            accessor.setValueOn(voxel_of(entries[i].key), int32_t(out_.references.size() + 1));
-            out_.references.push_back(uint32_t(end - i));
-            for (size_t k = i; k < end; ++k) {
-                out_.references.push_back(entries[k].shape);
-                cost += reference_cost(entries[k].shape);
+            list.clear();
+            for (end = i; end < entries.size() && entries[end].key == entries[i].key; ++end)
+                list.push_back(entries[end].shape);
+            // Parts of a shape may come from two voxels.
+            std::sort(list.begin(), list.end());
+            list.erase(std::unique(list.begin(), list.end()), list.end());
+            if (finer > 0 && end - i > size_t(p_.max_per_voxel)) {
+                move_to(crowd, one.space, entries[i].key, list);
+                continue;
             }
+            accessor.setValueOn(voxel_of(entries[i].key), int32_t(write_list(list)));
+            for (const uint32_t shape : list) cost += reference_cost<Set>(set_.cost(shape));
+            references += list.size();
             ++voxels;
         }
+        if (!crowd.empty()) add_class(crowd, finer, refinements - 1);
+        if (voxels == 0) return;
         auto nano = std::make_shared<const SparseVoxels>(nanovdb::openToNanoVDB(
             *tree, nanovdb::StatsMode::Disable, nanovdb::ChecksumMode::Disable));
         const auto& nano_tree = nano->handle.template grid<int32_t>()->tree();
-        count(one, content, nano_tree.nodeCount(1), nano_tree.nodeCount(0), voxels, entries.size(),
+        count(one, content, nano_tree.nodeCount(1), nano_tree.nodeCount(0), voxels, references,
               cost);
         out_.stats.bytes += nano->handle.size();
         one.voxels = std::move(nano);
         out_.classes.push_back(std::move(one));
     }
-    double reference_cost(uint32_t shape) const {
-        const bool gathered = std::is_same_v<Set, TriangleSet>;
-        return set_.cost(shape) + (gathered ? cost_constants.triangle_gather / 4 : 0);
+    double finest(const Bounds3& content) const { return extent_of(content) / p_.max_resolution; }
+    /// Edge of the voxels for what is in crowded ones; 0 if there are none, or if they could not be
+    /// much finer.
+    double finer_voxel(const std::vector<Entry>& entries, const GridSpace& space,
+                       int refinements) const {
+        if (refinements == 0) return 0;
+        Bounds3 crowded;
+        for (size_t i = 0, end; i < entries.size(); i = end) {
+            for (end = i; end < entries.size() && entries[end].key == entries[i].key;) ++end;
+            if (end - i <= size_t(p_.max_per_voxel)) continue;
+            const openvdb::Coord at = voxel_of(entries[i].key);
+            crowded.extend(space.cell_box(at[0], at[1], at[2]));
+        }
+        if (crowded.empty()) return 0;
+        const double edge = std::max({space.cell[0], space.cell[1], space.cell[2]});
+        const double finer = std::max(edge / 8, finest(crowded));
+        return finer <= edge / 2 ? finer : 0;
+    }
+    /// @return  the list's code
+    uint32_t write_list(const std::vector<uint32_t>& list) {
+        const uint32_t first = out_.shapes.place(set_, list[0]);
+        if (list.size() == 1 && first < list_code::single_flag)
+            return list_code::single_flag | first;
+        const uint32_t code = uint32_t(out_.words.size());
+        out_.words.push_back(uint32_t(list.size()));
+        for (const uint32_t shape : list) out_.words.push_back(out_.shapes.place(set_, shape));
+        return code;
+    }
+    /// What a voxel holds of its shapes.
+    void move_to(std::vector<BuildReference>& crowd, const GridSpace& space, uint64_t key,
+                 const std::vector<uint32_t>& list) const {
+        const openvdb::Coord at = voxel_of(key);
+        Bounds3 region = space.cell_box(at[0], at[1], at[2]);
+        for (int a = 0; a < 3; ++a) {
+            region.lower[a] = next_below(float(region.lower[a] - space.margin[a]));
+            region.upper[a] = next_above(float(region.upper[a] + space.margin[a]));
+        }
+        for (const uint32_t shape : list) {
+            const Bounds3 part = set_.clipped_bounds(shape, region);
+            if (!part.empty()) crowd.push_back({part, shape, float(set_.cost(shape))});
+        }
     }
 
     /// Statistics, and the expected cost: a line meets each node and voxel as its area says.
@@ -516,7 +576,7 @@ void SparseGrid<Set>::walk(const BoxVisitor& visit) const {
                     for (uint32_t i = 0; i < 512; ++i)
                         if (leaf.valueMask().isOn(i))
                             visit(box_of(corner + Vec3i(i >> 6, (i >> 3) & 7, i & 7), 1), 3, true,
-                                  references[size_t(leaf.getValue(i)) - 1]);
+                                  list_length(uint32_t(leaf.getValue(i)), words.data()));
                 });
             });
     }

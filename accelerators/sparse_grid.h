@@ -4,6 +4,7 @@
 
 #include "accelerators/grid_space.h"
 #include "accelerators/mailbox.h"
+#include "accelerators/shape_store.h"
 #include "framework/aligned.h"
 #include "framework/archive.h"
 #include "framework/primitive.h"
@@ -14,6 +15,8 @@ struct SparseGridParameters {
     double density = 1.0;
     int max_resolution = 4096;
     int size_classes = 4;
+    int max_per_voxel = 16;
+    int refinements = 2;
     MailboxMode mailbox = MailboxMode::automatic;
 
     template <class V>
@@ -24,6 +27,9 @@ struct SparseGridParameters {
                   "voxels along the longest axis at most");
         v.integer("size_classes", size_classes, 1, 8,
                   "grids at most, each for shapes of a size, where one would be too large");
+        v.integer("max_per_voxel", max_per_voxel, 1, 4096,
+                  "what is in a voxel with more moves to a finer grid");
+        v.integer("refinements", refinements, 0, 4, "finer grids at most, for each class of sizes");
         v.choice("mailbox", mailbox, {"off", "on", "auto"},
                  "test a shape once per ray; auto: where shapes are dear and repeat");
     }
@@ -35,7 +41,7 @@ struct SparseVoxels;
 void archive_voxels(ArchiveWriter& out, std::shared_ptr<const SparseVoxels>& voxels);
 void archive_voxels(ArchiveReader& in, std::shared_ptr<const SparseVoxels>& voxels);
 
-/// The grid of one class of sizes.
+/// The grid of one class of sizes, or of what fills some voxels of such a grid.
 struct SparseGridClass {
     GridSpace space;  ///< of voxels
     std::shared_ptr<const SparseVoxels> voxels;
@@ -48,14 +54,15 @@ struct SparseGridClass {
 };
 
 /// Sparse grids of voxels, in the topology of OpenVDB (Museth 2013): 32³ nodes of 16³ nodes of 8³
-/// voxels. An active voxel's value is 1 + the place of its list in `references`.
+/// voxels. An active voxel's value is the code of its list in `words`: see list_code.
 template <class Set>
 struct SparseGrid {
     static constexpr const char* name = "sparse_grid";
-    static constexpr bool reads_set = true;
+    static constexpr bool reads_set = ShapeStore<Set>::keeps_set;
 
     std::vector<SparseGridClass> classes;  ///< largest shapes first: they cut rays short
-    AlignedVector<uint32_t> references;    ///< lists: the number of shapes, then them, ascending
+    AlignedVector<uint32_t> words;         ///< lists
+    ShapeStore<Set> shapes;
     bool mailbox = false;
     Bounds3 box;  ///< of the shapes
     double cost = 0;
@@ -64,7 +71,7 @@ struct SparseGrid {
     static SparseGrid build(const Set& set, const SparseGridParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(classes, references, mailbox, box, cost, stats);
+        a(classes, words, shapes, mailbox, box, cost, stats);
     }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }

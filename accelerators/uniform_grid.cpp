@@ -43,7 +43,7 @@ struct UniformGridTraversal {
             return test_list(words[place], words, test);
         };
         if (HWY_LIKELY(!thick))
-            return BlockWalk(grid.space, grid.blocks.data(), exact, t_enter, t_leave)
+            return BlockWalk(grid.space, grid.blocks.data(), exact, t_enter)
                 .run(grid.skip_empty, q, counters, visit);
         return walk_blocks_thick(grid.space, grid.blocks.data(), ray, q, t_enter, t_leave, counters,
                                  visit);
