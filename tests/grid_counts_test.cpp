@@ -2,13 +2,18 @@
 // Standard Procedural Databases (Comparison of hierarchical grids, 1999). The scenes lie beside the
 // repository; where they do not, there is nothing to compare.
 
+#include <algorithm>
 #include <filesystem>
 #include <numeric>
 #include <string>
 #include <variant>
 
 #include "accelerators/grid_space.h"
+#include "framework/object_set.h"
+#include "framework/polygon_set.h"
+#include "framework/quadric_set.h"
 #include "framework/registry.h"
+#include "framework/triangle_set.h"
 #include "scenegraph/nff.h"
 #include "scenegraph/shape_sets.h"
 #include "tests/catch.h"
@@ -81,7 +86,9 @@ TEST_CASE("uniform_grid: cells of the SPD scenes are empty where Havran & Sixta 
         const Counts counts = count_cells(sets_of(p.scene), p.resolution);
         CHECK(counts.N_V == p.N_V);
         CHECK(counts.N_EV == p.N_EV);
-        if (p.N_OIV > 0) CHECK(counts.N_OIV == p.N_OIV);
+        if (p.N_OIV > 0) {
+            CHECK(counts.N_OIV == p.N_OIV);
+        }
     }
 }
 
