@@ -22,8 +22,8 @@ enum class NestedGridMethod {
 struct NestedGridParameters {
     NestedGridMethod method = NestedGridMethod::two_level;
     ResolutionRule resolution = ResolutionRule::klimaszewski;
-    double density = 0.5;
-    int max_per_cell = 8;
+    double density = 1.0;
+    int max_per_cell = 16;
     int max_depth = 4;
     MailboxMode mailbox = MailboxMode::automatic;
 

@@ -267,7 +267,7 @@ const UpperNode& upper_node(const SparseVoxels& voxels) { return *voxels.root; }
 namespace {
 
 constexpr double most_references = 24;       ///< per shape, in one class
-constexpr size_t most_leaf_bytes = 1 << 10;  ///< of leaf nodes, per shape, beyond the first 64 MiB
+constexpr size_t most_leaf_bytes = 1 << 10;  ///< of all leaf nodes, per shape, beyond 64 MiB
 constexpr double enter_cost = 8.0;           ///< nominal ns to enter a node
 
 /// A shape in a voxel. Keys sort by leaf node, then by place in it.
@@ -313,6 +313,7 @@ class SparseGridBuilder {
         }
         const double active = double(shapes.size());
         out_.shapes = ShapeStore<Set>(set_);
+        leaf_bytes_left_ = (size_t(64) << 20) + most_leaf_bytes * shapes.size();
         for (int left = p_.size_classes; !shapes.empty(); --left) {
             std::vector<BuildReference> large =
                 left > 1 ? split_off_large(shapes) : std::vector<BuildReference>{};
@@ -379,7 +380,7 @@ class SparseGridBuilder {
     /// Shapes by voxel, at the finest resolution that memory allows.
     /// @param voxel  its edge, if so
     std::vector<Entry> entries_of(const std::vector<BuildReference>& shapes, const Bounds3& content,
-                                  double voxel, GridSpace& space) const {
+                                  double voxel, GridSpace& space) {
         while (references_of(shapes, voxel) > most_references * double(shapes.size()) + 4096 &&
                voxel < extent_of(content))
             voxel *= 1.25;
@@ -395,9 +396,11 @@ class SparseGridBuilder {
             size_t leaves = 0;
             for (size_t i = 0; i < entries.size(); ++i)
                 leaves += i == 0 || entries[i].key >> 9 != entries[i - 1].key >> 9;
-            if (leaves * sizeof(LeafNode) <= (size_t(64) << 20) + most_leaf_bytes * shapes.size() ||
-                n.maxCoeff() == 1)
+            const size_t bytes = leaves * sizeof(LeafNode);
+            if (bytes <= leaf_bytes_left_ || n.maxCoeff() == 1) {
+                leaf_bytes_left_ -= std::min(bytes, leaf_bytes_left_);
                 return entries;
+            }
             voxel *= 2;
         }
     }
@@ -530,6 +533,7 @@ class SparseGridBuilder {
     const Set& set_;
     const SparseGridParameters& p_;
     SparseGrid<Set>& out_;
+    size_t leaf_bytes_left_ = 0;
 };
 
 /// Calls visit(block's first voxel, block's edge in voxels, child or null, offset) for blocks in

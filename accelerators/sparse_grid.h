@@ -15,7 +15,7 @@ struct SparseGridParameters {
     double density = 1.0;
     int max_resolution = 4096;
     int size_classes = 4;
-    int max_per_voxel = 16;
+    int max_per_voxel = 48;
     int refinements = 2;
     MailboxMode mailbox = MailboxMode::automatic;
 
