@@ -7,6 +7,7 @@
 #include "framework/registry.h"
 #include "framework/triangle_set.h"
 #include "tests/catch.h"
+#include "tests/hard_scenes.h"
 
 namespace crofton {
 namespace {
@@ -96,6 +97,24 @@ TEST_CASE("sparse_grid, nested_grid: a fan of long triangles is not one list") {
     const uint64_t unrefined = trace(*coarse, from, to).N_IT;
     CHECK(trace(*sparse, from, to).N_IT * 2 < unrefined);
     CHECK(trace(*nested, from, to).N_IT < unrefined);
+}
+
+TEST_CASE("grids: voxels refined and empty space walked return brute force's bits") {
+    const std::vector<std::pair<std::string, ParameterValues>> variants = {
+        {"sparse_grid", {{"max_per_voxel", int64_t(1)}, {"refinements", int64_t(2)}}},
+        {"sparse_grid", {{"max_per_voxel", int64_t(4)}, {"density", 0.3}}},
+        {"uniform_grid", {{"skip_empty", false}}},
+        {"uniform_grid", {{"density", 30.0}}},
+        {"nested_grid", {{"max_per_cell", int64_t(1)}, {"density", 4.0}}},
+    };
+    for (const test::HardScene& scene : test::hard_scenes()) {
+        const auto reference = accelerator("brute_force").build(scene.set, {});
+        for (const auto& [name, values] : variants) {
+            INFO(scene.name << ", " << name << " " << values.begin()->first);
+            const auto grid = accelerator(name).build(scene.set, values);
+            CHECK(test::different_hits(*reference, *grid, scene.rays) == 0);
+        }
+    }
 }
 
 }  // namespace crofton
