@@ -221,15 +221,17 @@ class KdopPairTest {
 struct BvhTraversal {
     template <Query Q, class Set, class C>
     static bool run(const Bvh<Set>& bvh, const Set& set, const LocalRay& ray, RayQuery& q,
-                    C& counters) {
+                    C& counters, TraversalStart start = {}) {
         if (bvh.box.empty()) return false;
+        const Entry first{start.index, start.count, 0};
         if (HWY_LIKELY(bvh.volume == BoundingVolume::box)) {
             ChildPairTest pair(ray, q);
-            return follow(bvh.nodes.data(), pair, q, counters, [&](const Entry& leaf) HWY_ATTR {
-                return test_leaf<Q>(set, bvh.leaves, leaf.index, leaf.count, ray, q, counters);
-            });
+            return follow(
+                bvh.nodes.data(), pair, first, q, counters, [&](const Entry& leaf) HWY_ATTR {
+                    return test_leaf<Q>(set, bvh.leaves, leaf.index, leaf.count, ray, q, counters);
+                });
         }
-        return run_other<Q>(bvh, set, ray, q, counters);
+        return run_other<Q>(bvh, set, first, ray, q, counters);
     }
 
   private:
@@ -239,8 +241,8 @@ struct BvhTraversal {
     };
 
     template <Query Q, class Set, class C>
-    static HWY_NOINLINE bool run_other(const Bvh<Set>& bvh, const Set& set, const LocalRay& ray,
-                                       RayQuery& q, C& counters) {
+    static HWY_NOINLINE bool run_other(const Bvh<Set>& bvh, const Set& set, const Entry& first,
+                                       const LocalRay& ray, RayQuery& q, C& counters) {
         const float magnitude = bvh.box.magnitude();
         // One copy of the leaf test for the three.
         const auto leaf = [&](const Entry& e) HWY_ATTR {
@@ -248,14 +250,14 @@ struct BvhTraversal {
         };
         if (bvh.volume == BoundingVolume::sphere) {
             SpherePairTest pair(ray, q, magnitude);
-            return follow(bvh.spheres.data(), pair, q, counters, leaf);
+            return follow(bvh.spheres.data(), pair, first, q, counters, leaf);
         }
         if (bvh.volume == BoundingVolume::obb) {
             ObbPairTest pair(ray, q, magnitude);
-            return follow(bvh.obbs.data(), pair, q, counters, leaf);
+            return follow(bvh.obbs.data(), pair, first, q, counters, leaf);
         }
         KdopPairTest pair(ray, q, magnitude);
-        return follow(bvh.kdops.data(), pair, q, counters, leaf);
+        return follow(bvh.kdops.data(), pair, first, q, counters, leaf);
     }
     template <Query Q, class Set, class C>
     static HWY_NOINLINE bool test_leaf_apart(const Set& set, const Leaves<Set>& leaves,
@@ -266,11 +268,10 @@ struct BvhTraversal {
 
     /// Front to back with an explicit stack; a child that begins beyond the best hit is dropped.
     template <class Node, class PairTest, class C, class Leaf>
-    static HWY_INLINE bool follow(const Node* nodes, PairTest& pair, RayQuery& q, C& counters,
-                                  const Leaf& test) {
+    static HWY_INLINE bool follow(const Node* nodes, PairTest& pair, Entry current, RayQuery& q,
+                                  C& counters, const Leaf& test) {
         Entry stack[BinaryTree::max_depth + 1];
         Entry* top = stack;
-        Entry current{0, 0, 0};
         while (true) {
             // Down, to the nearer child first, until a leaf or a miss.
             while (current.count == 0) {
@@ -488,9 +489,6 @@ Bvh<Set> Bvh<Set>::build(const Set& set, const BvhParameters& p) {
     return bvh;
 }
 
-namespace {
-
-/// Box of a child, as far as its volume has one in the structure's bounds.
 Bounds3 child_box(const BvhNode& n, int side) {
     Bounds3 b;
     for (int a = 0; a < 3; ++a) {
@@ -505,7 +503,7 @@ Bounds3 child_box(const SpherePair& n, int side) {
         b.lower[a] = n.center[a][side] - n.radius[side];
         b.upper[a] = n.center[a][side] + n.radius[side];
     }
-    return b;
+    return widened(b, 0x1p-20f);
 }
 Bounds3 child_box(const ObbPair& n, int side) {
     const ObbPair::Child& c = n.child[side];
@@ -519,12 +517,16 @@ Bounds3 child_box(const ObbPair& n, int side) {
                 p[a] += c.direction[a][k] * (corner >> k & 1 ? c.upper[k] : c.lower[k]);
         b.extend(p);
     }
-    return b;
+    // For the rounding of the directions, and of this sum.
+    const Vec3f error = Vec3f::Constant(0x1p-19f * b.magnitude());
+    return {b.lower - error, b.upper + error};
 }
 Bounds3 child_box(const KdopPair& n, int side) {
     const KdopPair::Child& c = n.child[side];
     return {Vec3f(c.lower[0], c.lower[1], c.lower[2]), Vec3f(c.upper[0], c.upper[1], c.upper[2])};
 }
+
+namespace {
 
 template <class Node>
 void walk_pairs(const AlignedVector<Node>& nodes, const Bounds3& box, const BoxVisitor& visit) {

@@ -46,4 +46,16 @@ double reference_cost(double cost) {
     return cost;
 }
 
+/// Nominal ns of one leaf.
+template <class Set>
+double leaf_cost(const Set& set, const Leaves<Set>& leaves, uint32_t first, uint32_t count) {
+    if constexpr (std::is_same_v<Set, TriangleSet>) {
+        return tree_costs<Set>(0).leaf(0, count);
+    } else {
+        double sum = 0;
+        for (uint32_t i = 0; i < count; ++i) sum += set.cost(leaves.references()[first + i]);
+        return sum;
+    }
+}
+
 }  // namespace crofton

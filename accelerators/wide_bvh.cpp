@@ -82,10 +82,10 @@ class EightBoxTest {
 struct WideBvhTraversal {
     template <Query Q, class Set, class C>
     static bool run(const WideBvh<Set>& bvh, const Set& set, const LocalRay& ray, RayQuery& q,
-                    C& counters) {
+                    C& counters, TraversalStart start = {}) {
         if (bvh.format == WideNodes::full)
-            return run_nodes<Q, WideNode>(bvh, set, ray, q, counters);
-        return run_nodes<Q, QuantisedNode>(bvh, set, ray, q, counters);
+            return run_nodes<Q, WideNode>(bvh, set, ray, q, counters, start);
+        return run_nodes<Q, QuantisedNode>(bvh, set, ray, q, counters, start);
     }
 
   private:
@@ -110,13 +110,13 @@ struct WideBvhTraversal {
 
     template <Query Q, class Node, class Set, class C>
     static HWY_INLINE bool run_nodes(const WideBvh<Set>& bvh, const Set& set, const LocalRay& ray,
-                                     RayQuery& q, C& counters) {
+                                     RayQuery& q, C& counters, TraversalStart start) {
         const Node* nodes = bvh.begin(static_cast<const Node*>(nullptr));
         if (bvh.box.empty()) return false;
         const EightBoxTest boxes(ray);
         Entry stack[WideBvh<Set>::max_depth * (WideBvh<Set>::width - 1) + 1];
         Entry* top = stack;
-        uint32_t current = 0;
+        uint32_t current = start.index;
         const float t_low = q.t_low;
         while (true) {
             while (!WideChild::is_leaf(current)) {

@@ -3,6 +3,7 @@
 #include "accelerators/leaves.h"
 #include "accelerators/tree_build.h"
 #include "framework/aligned.h"
+#include "framework/parts.h"
 #include "framework/primitive.h"
 
 namespace crofton {
@@ -63,6 +64,10 @@ struct alignas(8) QuantisedNode {
 };
 static_assert(sizeof(QuantisedNode) == 112);
 
+/// Box of child i as traversal sees it.
+Bounds3 child_bounds(const WideNode& node, int i);
+Bounds3 child_bounds(const QuantisedNode& node, int i);
+
 /// Bounding volume hierarchy with eight children a node, all tested at once. Made from a
 /// binary tree by leaving out the nodes whose absence costs least: see WideCollapse.
 template <class Set>
@@ -91,10 +96,33 @@ struct WideBvh {
     void walk(const BoxVisitor& visit) const;
     const WideNode* begin(const WideNode*) const { return nodes.data(); }
     const QuantisedNode* begin(const QuantisedNode*) const { return quantised.data(); }
-};
 
-/// Box of child i as traversal sees it.
-Bounds3 child_bounds(const WideNode& node, int i);
-Bounds3 child_bounds(const QuantisedNode& node, int i);
+    /// @name Opening, see framework/parts.h: `index` is a WideChild
+    /// @{
+    static bool is_leaf(TraversalStart at) { return WideChild::is_leaf(at.index); }
+    template <class F>
+    void visit_children(TraversalStart at, F&& f) const {
+        if (box.empty()) return;
+        const bool full = format == WideNodes::full;
+        for (int i = 0; i < width; ++i) {
+            const Bounds3 b = full ? child_bounds(nodes[at.index], i)
+                                   : child_bounds(quantised[at.index], i);
+            const uint32_t child =
+                full ? nodes[at.index].child[i] : quantised[at.index].child[i];
+            if (!b.empty()) f(b, TraversalStart{child, 0});
+        }
+    }
+    double cost_of(const Set& set, TraversalStart at) const {
+        if (is_leaf(at))
+            return leaf_cost(set, leaves, WideChild::first(at.index), WideChild::count(at.index));
+        int children = 0;
+        visit_children(at, [&](const Bounds3&, TraversalStart) { ++children; });
+        return cost_constants.wide_node * (children - 1);
+    }
+    std::span<const uint32_t> references(TraversalStart leaf) const {
+        return {leaves.references() + WideChild::first(leaf.index), WideChild::count(leaf.index)};
+    }
+    /// @}
+};
 
 }  // namespace crofton

@@ -135,6 +135,8 @@ void put_assembly(Json& json, const Assembly& assembly) {
     json["accelerator"] = describe(*assembly.root);
     json["build_s"] = assembly.build_s;
     json["structure_bytes"] = s.bytes;
+    json["opened_objects"] = assembly.opened;
+    json["parts"] = assembly.parts;
     json["inactive_instances"] = assembly.inactive_instances;
     json["inactive_shapes"] = assembly.inactive_shapes;
     json["nodes_assigned"] = Json::array();
@@ -204,6 +206,8 @@ std::string assembly_text(const Assembly& assembly, size_t limit) {
                     assembly.build_s, double(s.bytes) / 1e6);
     text += fmt::format("  {} inner nodes, {} cells ({} empty), {} references, depth {}\n", s.N_IN,
                         s.N_V, s.N_EV, s.N_OIV, s.depth);
+    if (assembly.opened > 0)
+        text += fmt::format("  {} objects opened into {} parts\n", assembly.opened, assembly.parts);
     size_t lines = 0;
     for (const Assembly::Entry& e : assembly.entries) {
         if (lines++ == limit) {

@@ -96,6 +96,7 @@ class Choices {
 struct Assignment {
     ChoicePointer top, objects;
     bool flatten = false;
+    double opening = 0;
     std::vector<AssemblyPlan::Rule> rules;
 };
 
@@ -130,6 +131,7 @@ Assignment read_assignment(ConfigTable& table, const Assignment& base, Choices& 
     out.top = read_choice(table, "top", base.top, choices);
     out.objects = read_choice(table, "default", base.objects, choices);
     out.flatten = table.boolean("flatten", base.flatten);
+    out.opening = table.real("opening", base.opening, 0, 1000);
     out.rules = read_rules(table, choices);
     if (out.flatten && !out.rules.empty())
         table.fail("node", table.what() + ": a flattened scene has no nodes to match");
@@ -142,6 +144,7 @@ std::string canonical(const AssemblyPlan& plan) {
     std::string text = "top=" + canonical(*plan.top);
     if (plan.flatten) return text + ";flat";
     text += ";default=" + canonical(*plan.objects);
+    if (plan.opening > 1) text += ";opening=" + to_string(ParameterValue(plan.opening));
     for (const auto& rule : plan.rules)
         text += ";" + rule.match + "=" + canonical(*rule.accelerator);
     return text;
@@ -150,7 +153,8 @@ std::string canonical(const AssemblyPlan& plan) {
 Variant make_variant(const std::string& name, const Assignment& assignment) {
     Variant variant;
     variant.name = name;
-    variant.plan = {assignment.top, assignment.objects, assignment.flatten, assignment.rules};
+    variant.plan = {assignment.top, assignment.objects, assignment.flatten, assignment.opening,
+                    assignment.rules};
     variant.canonical = canonical(variant.plan);
     return variant;
 }

@@ -81,8 +81,9 @@ class Description {
         std::sort(inside.begin(), inside.end());
         std::string joined;
         for (const std::string& text : inside) joined += (joined.empty() ? "" : " ") + text;
-        const bool wrapper = primitive.type_name() == "instance";
-        std::string text = wrapper ? joined : primitive.type_name();
+        const std::string type = primitive.type_name();
+        const bool wrapper = type == "instance" || type == "part";
+        std::string text = wrapper ? joined : type;
         if (!wrapper && !joined.empty()) text += "(" + joined + ")";
         if (!wrapper) memo_[&primitive] = text;
         return text;

@@ -8,6 +8,7 @@
 
 #include "framework/archive.h"
 #include "framework/parameters.h"
+#include "framework/parts.h"
 #include "framework/primitive.h"
 #include "framework/registry.h"
 #include "framework/simd.h"
@@ -24,6 +25,9 @@ namespace HWY_NAMESPACE {
 /// Each override holds its own specialised copy of that traversal, so that over triangles a ray
 /// makes no indirect call below the virtual one. Counting is never timed and counts the same on
 /// every target, so counted traversals exist for the baseline only (`run_counted`).
+template <class Structure, class Traversal, class Set>
+class AcceleratedPart;
+
 template <class Structure, class Traversal, class Set>
 class AcceleratedObject final : public Primitive {
   public:
@@ -66,10 +70,104 @@ class AcceleratedObject final : public Primitive {
         out.set(set_);
         out(structure_);
     }
+    /// Subtrees where the structure has them; else, over objects, the objects themselves.
+    std::vector<PlacedPrimitive> open(const std::shared_ptr<const Primitive>& self,
+                                      PartCache&) const override {
+        if constexpr (Opens<Structure, Set>)
+            return open_from(std::static_pointer_cast<const AcceleratedObject>(self), {});
+        else if constexpr (std::is_same_v<Set, ObjectSet>)
+            return set_->objects();
+        else
+            return {};
+    }
+
+    std::shared_ptr<const Primitive> part(const std::shared_ptr<const Primitive>& self,
+                                          const Bounds3& box,
+                                          const TraversalStart& start) const override {
+        if constexpr (Opens<Structure, Set>)
+            return std::make_shared<const Part>(
+                std::static_pointer_cast<const AcceleratedObject>(self), box, start);
+        else
+            return nullptr;
+    }
 
   private:
+    friend class AcceleratedPart<Structure, Traversal, Set>;
+    using Part = AcceleratedPart<Structure, Traversal, Set>;
+
+    std::vector<PlacedPrimitive> open_from(const std::shared_ptr<const AcceleratedObject>& self,
+                                           TraversalStart start) const {
+        std::vector<PlacedPrimitive> parts;
+        structure_.visit_children(start, [&](const Bounds3& box, TraversalStart child) {
+            if constexpr (std::is_same_v<Set, ObjectSet>)
+                if (Structure::is_leaf(child)) {
+                    for (const uint32_t i : structure_.references(child))
+                        parts.push_back(set_->objects()[i]);
+                    return;
+                }
+            parts.push_back({std::make_shared<const Part>(self, box, child), 0});
+        });
+        return parts;
+    }
+
     Structure structure_;
     std::shared_ptr<const Set> set_;
+    double expected_cost_ = 0;
+};
+
+/// A subtree of a structure: its traversal starts at an inner node or a leaf. Owns the structure
+/// together with all other parts.
+template <class Structure, class Traversal, class Set>
+class AcceleratedPart final : public Primitive {
+  public:
+    using Whole = AcceleratedObject<Structure, Traversal, Set>;
+    AcceleratedPart(std::shared_ptr<const Whole> whole, const Bounds3& box, TraversalStart start)
+        : whole_(std::move(whole)), start_(start) {
+        set_bounds(box, *whole_);
+        expected_cost_ = expected_cost_from(whole_->structure_, *whole_->set_, start, box);
+    }
+    void closest_local(const LocalRay& ray, RayQuery& query) const override {
+        NoCounters none;
+        Traversal::template run<Query::closest>(whole_->structure_, *whole_->set_, ray, query, none,
+                                                start_);
+    }
+    bool any_local(const LocalRay& ray, RayQuery& query) const override {
+        NoCounters none;
+        return Traversal::template run<Query::any>(whole_->structure_, *whole_->set_, ray, query,
+                                                   none, start_);
+    }
+    void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
+        run_counted(Query::closest, whole_->structure_, *whole_->set_, ray, query, counters,
+                    start_);
+    }
+    bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
+        return run_counted(Query::any, whole_->structure_, *whole_->set_, ray, query, counters,
+                           start_);
+    }
+    double expected_cost() const override { return expected_cost_; }
+    StructureStatistics statistics() const override {
+        StructureStatistics s;
+        s.bytes = sizeof(AcceleratedPart);
+        return s;
+    }
+    std::string type_name() const override { return part_name; }
+    void walk(const BoxVisitor& visit) const override { visit(bounds(), 0, true, 1); }
+    void children(const std::function<void(const Primitive&)>& visit) const override {
+        visit(*whole_);
+    }
+    void archive(StructureWriter& out) const override {
+        out.object(*whole_);
+        out(bounds(), start_);
+    }
+    std::vector<PlacedPrimitive> open(const std::shared_ptr<const Primitive>&,
+                                      PartCache&) const override {
+        if (Structure::is_leaf(start_)) return {};
+        return whole_->open_from(whole_, start_);
+    }
+
+  private:
+    std::shared_ptr<const Whole> whole_;
+    TraversalStart start_;
     double expected_cost_ = 0;
 };
 
@@ -104,12 +202,14 @@ HWY_AFTER_NAMESPACE();
 /// The counted traversal of one structure, defined in the last pass, which is the baseline's.
 #undef CROFTON_COUNTED_KERNEL
 #if HWY_TARGET == HWY_STATIC_TARGET
-#define CROFTON_COUNTED_KERNEL(Structure, Traversal)                                       \
-    {                                                                                      \
-        using Kernel = HWY_NAMESPACE::Traversal;                                           \
-        if (kind == Query::any)                                                            \
-            return Kernel::template run<Query::any>(structure, set, ray, query, counters); \
-        return Kernel::template run<Query::closest>(structure, set, ray, query, counters); \
+#define CROFTON_COUNTED_KERNEL(Structure, Traversal)                                      \
+    {                                                                                     \
+        using Kernel = HWY_NAMESPACE::Traversal;                                          \
+        if (kind == Query::any)                                                           \
+            return Kernel::template run<Query::any>(structure, set, ray, query, counters, \
+                                                    start...);                            \
+        return Kernel::template run<Query::closest>(structure, set, ray, query, counters, \
+                                                    start...);                            \
     }
 #else
 #define CROFTON_COUNTED_KERNEL(Structure, Traversal) ;
@@ -118,9 +218,9 @@ HWY_AFTER_NAMESPACE();
 /// In an accelerator's source, for every target: instantiates its kernels over every set.
 #define CROFTON_ACCELERATOR_KERNELS(Structure, Traversal, Parameters)                            \
     namespace crofton {                                                                          \
-    template <class Set>                                                                         \
+    template <class Set, class... Start>                                                         \
     bool run_counted(Query kind, const Structure<Set>& structure, const Set& set,                \
-                     const LocalRay& ray, RayQuery& query, Counters& counters)                   \
+                     const LocalRay& ray, RayQuery& query, Counters& counters, Start... start)   \
         CROFTON_COUNTED_KERNEL(Structure, Traversal)                                             \
     }                                                                                            \
     HWY_BEFORE_NAMESPACE();                                                                      \

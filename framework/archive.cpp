@@ -9,6 +9,7 @@
 #include "framework/error.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
+#include "framework/parts.h"
 #include "framework/polygon_set.h"
 #include "framework/quadric_set.h"
 #include "framework/registry.h"
@@ -87,6 +88,16 @@ void children_first(const Primitive& root, const StructureWriter& out, const Vis
             });
         }
     }
+}
+
+std::shared_ptr<const Primitive> load_part(StructureReader& in) {
+    const std::shared_ptr<const Primitive> whole = in.object();
+    Bounds3 box;
+    TraversalStart start;
+    in(box, start);
+    std::shared_ptr<const Primitive> part = whole->part(whole, box, start);
+    if (!part) in.refuse("names a part of what has none");
+    return part;
 }
 
 }  // namespace
@@ -203,6 +214,10 @@ SavedStructure load_structure(const std::string& path) {
     while (!in.at_end()) {
         std::string type;
         in(type);
+        if (type == part_name) {
+            in.add(load_part(in));
+            continue;
+        }
         in.add(type == Instance::registry_name ? Instance::load(in) : load_accelerator(type, in));
     }
     if (in.objects().empty()) in.refuse("holds no structure");

@@ -38,12 +38,7 @@ bool Instance::enter(const LocalRay& outer, const RayQuery& query, InstanceFrame
     // Thickness: the leaf test sees fl(M·v) - o in the world, wrong by at most
     // 4u·(|M|·|v| + |m| + |o|) per axis and by the test's own 8u of the distance; |M⁻¹| brings that
     // to object space. 32u covers both, and the rounding of origin and direction to float.
-    const Vec3d magnitude = object_->bounds().empty()
-                                ? Vec3d(0, 0, 0)
-                                : object_->bounds()
-                                      .lower.cwiseAbs()
-                                      .cwiseMax(object_->bounds().upper.cwiseAbs())
-                                      .cast<double>();
+    const Vec3d magnitude = object_->magnitudes().cast<double>();
     const Vec3d reach = frame.world_from_object.linear.cwiseAbs() * magnitude +
                         frame.world_from_object.translation.cwiseAbs() + o.cwiseAbs();
     const Vec3d pad = 0x1p-19 * (frame.object_from_world.linear.cwiseAbs() * reach);
@@ -96,6 +91,16 @@ StructureStatistics Instance::statistics() const {
 }
 
 void Instance::walk(const BoxVisitor& visit) const { visit(bounds(), 0, true, 1); }
+
+std::vector<PlacedPrimitive> Instance::open(const std::shared_ptr<const Primitive>&,
+                                            PartCache& cache) const {
+    // Instances are not merged with those inside: products of maps would be rounded differently.
+    std::vector<PlacedPrimitive> parts;
+    for (const PlacedPrimitive& part : cache.parts(object_))
+        parts.push_back(
+            {std::make_shared<const Instance>(part.primitive, parent_from_object_), part.instance});
+    return parts;
+}
 
 void Instance::children(const std::function<void(const Primitive&)>& visit) const {
     visit(*object_);

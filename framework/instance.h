@@ -35,6 +35,8 @@ class Instance final : public Primitive {
     void children(const std::function<void(const Primitive&)>& visit) const override;
     void archive(StructureWriter& out) const override;
     static std::shared_ptr<const Primitive> load(StructureReader& in);
+    std::vector<PlacedPrimitive> open(const std::shared_ptr<const Primitive>& self,
+                                      PartCache& cache) const override;
 
   private:
     bool enter(const LocalRay& outer, const RayQuery& query, InstanceFrame& frame,

@@ -4,7 +4,8 @@
 
 namespace crofton {
 
-ObjectSet::ObjectSet(std::vector<Object> objects) : objects_(std::move(objects)) {
+ObjectSet::ObjectSet(std::vector<Object> objects, ShapeGroups groups)
+    : objects_(std::move(objects)), groups_(std::move(groups)) {
     entries_.reserve(objects_.size());
     for (const Object& object : objects_)
         entries_.push_back({object.primitive->bounds(), object.instance, object.primitive.get()});

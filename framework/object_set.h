@@ -5,18 +5,17 @@
 #include <vector>
 
 #include "framework/primitive.h"
+#include "framework/shape_groups.h"
 
 namespace crofton {
 
 /// A primitive set whose shapes are Primitives: nesting happens here, and only here.
 class ObjectSet {
   public:
-    struct Object {
-        std::shared_ptr<const Primitive> primitive;
-        uint32_t instance = 0;  ///< added to the instance ids of hits inside
-    };
-    explicit ObjectSet(std::vector<Object> objects);
-    /// The objects named.
+    using Object = PlacedPrimitive;
+    /// @param groups  of the scene graph that the objects come from
+    explicit ObjectSet(std::vector<Object> objects, ShapeGroups groups = {});
+    /// The objects named, without their groups.
     ObjectSet subset(std::span<const uint32_t> objects) const;
 
     uint32_t size() const { return uint32_t(objects_.size()); }
@@ -27,6 +26,8 @@ class ObjectSet {
     }
     /// What the object expects of a ray that meets its bounds, and the price of entering it.
     double cost(uint32_t i) const;
+    const std::vector<Object>& objects() const { return objects_; }
+    const ShapeGroups& groups() const { return groups_; }
     const Primitive& object(uint32_t i) const { return *entries_[i].primitive; }
     uint64_t bytes() const { return entries_.size() * (sizeof(Entry) + sizeof(Object)); }
 
@@ -41,6 +42,7 @@ class ObjectSet {
   private:
     std::vector<Object> objects_;  ///< owns
     std::vector<Entry> entries_;
+    ShapeGroups groups_;
 };
 
 /// Leaves of one structure over shapes that are not packed: references in the order of the leaves.

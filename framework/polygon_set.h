@@ -36,6 +36,7 @@ class PolygonSet {
         return {corners_.data() + first_[i], first_[i + 1] - first_[i]};
     }
     const IdTable& ids() const { return ids_; }
+    ShapeGroups groups() const { return ids_.groups(size()); }
     uint64_t bytes() const;
 
     /// t in [query.t_min, query.t_best] at which polygon i is hit.

@@ -36,7 +36,7 @@ Hit Primitive::intersect(const Ray& ray) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitude_, query, local, scale)) return {};
+    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
     closest_local(local, query);
     return result(query, scale);
 }
@@ -45,7 +45,7 @@ bool Primitive::occluded(const Ray& ray) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitude_, query, local, scale)) return false;
+    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
     return any_local(local, query);
 }
 
@@ -63,7 +63,7 @@ Hit Primitive::intersect(const Ray& ray, Counters& counters) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitude_, query, local, scale)) return {};
+    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
     closest_local(local, query, counters);
     return result(query, scale);
 }
@@ -72,8 +72,17 @@ bool Primitive::occluded(const Ray& ray, Counters& counters) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitude_, query, local, scale)) return false;
+    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
     return any_local(local, query, counters);
+}
+
+const std::vector<PlacedPrimitive>& PartCache::parts(
+    const std::shared_ptr<const Primitive>& primitive) {
+    if (const auto it = opened_.find(primitive.get()); it != opened_.end()) return it->second.parts;
+    // Opening an instance opens its object, in this cache too: insert only afterwards.
+    std::vector<PlacedPrimitive> parts = primitive->open(primitive, *this);
+    return opened_.emplace(primitive.get(), Opened{primitive, std::move(parts)})
+        .first->second.parts;
 }
 
 StructureStatistics total_statistics(const Primitive& root) {

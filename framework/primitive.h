@@ -5,6 +5,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <unordered_map>
 #include <vector>
 
 #include "framework/bounds.h"
@@ -15,6 +16,7 @@
 namespace crofton {
 
 class StructureWriter;
+struct TraversalStart;
 
 /// What was built: the structure part of the Best Efficiency Scheme. Nested objects not included.
 struct StructureStatistics {
@@ -35,6 +37,28 @@ struct StructureStatistics {
 /// Receives the boxes of a structure, parents first. `references` is 0 for inner nodes.
 using BoxVisitor =
     std::function<void(const Bounds3& box, uint32_t depth, bool leaf, uint32_t references)>;
+
+class Primitive;
+
+/// A primitive as something above holds it.
+struct PlacedPrimitive {
+    std::shared_ptr<const Primitive> primitive;
+    uint32_t instance = 0;  ///< added to the instance ids of hits inside
+};
+
+/// Parts of primitives, each primitive opened once: instances of one object share its parts.
+class PartCache {
+  public:
+    /// @return  what stands for `primitive`; empty if it cannot be opened
+    const std::vector<PlacedPrimitive>& parts(const std::shared_ptr<const Primitive>& primitive);
+
+  private:
+    struct Opened {
+        std::shared_ptr<const Primitive> primitive;  ///< kept, so that its address stays its own
+        std::vector<PlacedPrimitive> parts;
+    };
+    std::unordered_map<const Primitive*, Opened> opened_;
+};
 
 /// One object that rays can meet: a set of shapes with its accelerator, an instance of another
 /// primitive, or a whole scene. An accelerator is itself a Primitive, so any may hold any.
@@ -90,15 +114,42 @@ class Primitive {
     /// What stands in for this in a saved file: itself, or the structure that it builds on demand.
     virtual const Primitive& resolved() const { return *this; }
 
+    /// Opens this primitive (re-braiding: Benthin, Woop, Wald, Áfra 2017): primitives that together
+    /// give the same hits, to the bits, so that a structure above can be built over parts of
+    /// objects that overlap. Parts share this one's data.
+    /// @param self  owns this primitive
+    /// @return      empty if it cannot be opened
+    virtual std::vector<PlacedPrimitive> open(const std::shared_ptr<const Primitive>& /*self*/,
+                                              PartCache&) const {
+        return {};
+    }
+    /// One of the parts again, as a saved file names it: see AcceleratedPart.
+    /// @return  null if there are no such parts
+    virtual std::shared_ptr<const Primitive> part(const std::shared_ptr<const Primitive>& /*self*/,
+                                                  const Bounds3& /*box*/,
+                                                  const TraversalStart&) const {
+        return nullptr;
+    }
+    /// Largest absolute coordinates of the shapes inside; more than those of the bounds where this
+    /// is a part whose shapes stick out of it.
+    const Vec3f& magnitudes() const { return magnitudes_; }
+
   protected:
     void set_bounds(const Bounds3& bounds) {
         bounds_ = bounds;
-        magnitude_ = bounds.magnitude();
+        magnitudes_ = bounds.empty()
+                          ? Vec3f(0, 0, 0)
+                          : Vec3f(bounds.lower.cwiseAbs().cwiseMax(bounds.upper.cwiseAbs()));
+    }
+    /// Of a part.
+    void set_bounds(const Bounds3& bounds, const Primitive& whole) {
+        bounds_ = bounds;
+        magnitudes_ = whole.magnitudes_;
     }
 
   private:
     Bounds3 bounds_;
-    float magnitude_ = 0;  ///< largest absolute coordinate
+    Vec3f magnitudes_ = Vec3f::Zero();
 };
 
 /// Sum of statistics over a structure and every distinct one nested in it (shared objects once).

@@ -49,6 +49,7 @@ class QuadricSet {
     }
     double cost(uint32_t i) const;
     const IdTable& ids() const { return ids_; }
+    ShapeGroups groups() const { return ids_.groups(size()); }
     uint64_t bytes() const { return shapes_.size() * sizeof(QuadricShape) + ids_.bytes(); }
     const QuadricShape& shape(uint32_t i) const { return shapes_[i]; }
 

@@ -103,4 +103,14 @@ void finish(LocalRay& ray, const RayQuery& query, float magnitude) {
              query.t_min, magnitude, 0x1p60f / largest);
 }
 
+ShapeGroups IdTable::groups(uint32_t size) const {
+    ShapeGroups groups;
+    if (runs_.size() < 2 || !whole_.empty()) return groups;
+    for (size_t r = 0; r < runs_.size(); ++r) {
+        const uint32_t end = r + 1 < runs_.size() ? runs_[r + 1].first : size;
+        if (end > runs_[r].first) groups.push_back({runs_[r].first, end});
+    }
+    return groups;
+}
+
 }  // namespace crofton

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "framework/ray.h"
+#include "framework/shape_groups.h"
 #include "framework/transform.h"
 
 namespace crofton {
@@ -142,6 +143,10 @@ class IdTable {
         hit.instance = base + run.instance;
     }
     size_t bytes() const { return runs_.size() * sizeof(Run) + whole_.size() * sizeof(uint32_t); }
+    /// A group for each run: the geometries of a mesh, or the meshes that were put together; none
+    /// for one run, or in a part of a set.
+    /// @param size  shapes in the set
+    ShapeGroups groups(uint32_t size) const;
 
   private:
     const Run& run_of(uint32_t shape) const {

@@ -8,8 +8,9 @@
 
 namespace crofton {
 
-TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids)
-    : triangles_(std::move(triangles)), ids_(std::move(ids)) {
+TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids,
+                         ShapeGroups groups)
+    : triangles_(std::move(triangles)), ids_(std::move(ids)), groups_(std::move(groups)) {
     for (size_t i = 0; i < triangles_.size(); ++i)
         for (uint32_t index : triangles_[i])
             if (index >= positions.size())

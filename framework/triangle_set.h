@@ -19,9 +19,11 @@ class TriangleSet {
 
     /// @param triangles  indices into `positions`
     /// @throws InputError  an index is out of range
-    TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids = {});
+    /// @param groups     of the model that the triangles come from; none: the runs of `ids`
+    TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids = {},
+                ShapeGroups groups = {});
     TriangleSet() : TriangleSet({}, {}) {}
-    /// The triangles named, with their ids in this set; vertices are shared.
+    /// The triangles named, with their ids in this set but not its groups; vertices are shared.
     TriangleSet subset(std::span<const uint32_t> shapes) const;
     template <class A>
     void archive(A& a) {
@@ -41,6 +43,7 @@ class TriangleSet {
     const IdTable& ids() const { return ids_; }
     /// Vertices shared with a larger set not included.
     uint64_t bytes() const;
+    ShapeGroups groups() const { return groups_.empty() ? ids_.groups(size()) : groups_; }
     /// A set with the same ids and no shapes: what a structure with its own copy keeps.
     TriangleSet ids_only() const { return TriangleSet({}, {}, ids_); }
 
@@ -58,6 +61,7 @@ class TriangleSet {
     bool part_ = false;  ///< the vertices are another set's
     std::vector<Indices> triangles_;
     IdTable ids_;
+    ShapeGroups groups_;
 };
 
 /// W triangles side by side, coordinate by coordinate. Unused lanes hold NaN, which no test

@@ -4,6 +4,7 @@
 #include <map>
 #include <tuple>
 
+#include "accelerators/opening.h"
 #include "framework/error.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
@@ -122,10 +123,12 @@ class Assembler {
             throw InputError("structures nest deeper than 64 levels at '" + paths_[*node] + "'");
 
         std::vector<ObjectSet::Object> found;
+        ShapeGroups groups;
         uint32_t instances = 0;
         struct Open {
             uint32_t node;
             Transform group_from_node;
+            std::optional<size_t> leaves = {};  ///< the end of a node: its group
         };
         std::vector<Open> open;
         const auto push_children = [&](const std::vector<uint32_t>& children, const Transform& t) {
@@ -139,6 +142,10 @@ class Assembler {
         while (!open.empty()) {
             const Open o = open.back();
             open.pop_back();
+            if (o.leaves) {
+                close(groups, *o.leaves, uint32_t(found.size()));
+                continue;
+            }
             const Node& n = scene_.nodes[o.node];
             const Choice rule = rule_of_[o.node];
             const bool own_group = rule && !n.children.empty() && !(node && o.node == *node);
@@ -149,6 +156,8 @@ class Assembler {
                 instances += inner.instances;
                 continue;
             }
+            open.push_back({o.node, {}, groups.size()});
+            groups.push_back({uint32_t(found.size()), 0});
             if (n.mesh) {
                 const Choice choice = rule && n.children.empty() ? rule : objects;
                 const std::shared_ptr<const Primitive> object = mesh(*n.mesh, choice, o.node);
@@ -166,10 +175,31 @@ class Assembler {
         if (found.size() == 1 && found[0].instance == 0)
             built.primitive = found[0].primitive;
         else
-            built.primitive = build(over, std::make_shared<const ObjectSet>(std::move(found)));
+            built.primitive = build(over, objects_of(std::move(found), groups));
         note(node ? paths_[*node] : "(top)", over, instances, *built.primitive);
         if (!node) result_.instances = instances;
         return groups_[key] = built;
+    }
+
+    /// Ends a group; one object needs no box around its box.
+    static void close(ShapeGroups& groups, size_t group, uint32_t end) {
+        if (end - groups[group].first > 1)
+            groups[group].end = end;
+        else
+            groups.resize(group);
+    }
+
+    /// The objects as a set, opened as the plan says.
+    std::shared_ptr<const ObjectSet> objects_of(std::vector<ObjectSet::Object> found,
+                                                const ShapeGroups& groups) {
+        if (!(plan_.opening > 1))
+            return std::make_shared<const ObjectSet>(std::move(found), groups);
+        const size_t before = found.size();
+        OpenedObjects opened = open_overlapping(std::move(found), plan_.opening);
+        result_.opened += opened.opened;
+        result_.parts += opened.objects.size() - before + opened.opened;
+        return std::make_shared<const ObjectSet>(std::move(opened.objects),
+                                                 moved_groups(groups, opened));
     }
 
     void place(std::vector<ObjectSet::Object>& found, std::shared_ptr<const Primitive> object,
@@ -218,8 +248,10 @@ class Assembler {
         ShapeSetBuilder builder(scene_);
         std::vector<ObjectSet::Object> others;
         const std::vector<MeshInstance> placed = mesh_instances(scene_);
+        std::vector<uint32_t> first_triangle;
         for (uint32_t i = 0; i < placed.size(); ++i) {
             const MeshInstance& p = placed[i];
+            first_triangle.push_back(uint32_t(builder.triangles()));
             const bool identity = p.world_from_object.is_identity();
             if (!identity && !Instance::is_valid(p.world_from_object)) {
                 ++result_.inactive_instances;
@@ -229,6 +261,10 @@ class Assembler {
             // Quadrics and polygons are tested in their own space: theirs is a nested object.
             place(others, mesh_without_triangles(p.mesh), p.world_from_object, i, 1);
         }
+        first_triangle.push_back(uint32_t(builder.triangles()));
+        ShapeGroups groups = placement_groups(scene_);
+        for (ShapeGroup& g : groups) g = {first_triangle[g.first], first_triangle[g.end]};
+        builder.group_triangles(std::move(groups));
         result_.instances = placed.size();
         std::shared_ptr<const Primitive> root = over_sets(builder, plan_.top, std::move(others));
         note("(top)", plan_.top, builder.shapes(), *root);

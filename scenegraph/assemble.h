@@ -26,9 +26,13 @@ struct AssemblyPlan {
     /// Bake transforms into the vertices and put all triangles in one set under `top` (quadrics and
     /// polygons likewise where no transform stands in the way; else they stay objects under it).
     bool flatten = false;
-    /// A node matched by name, by path from a root ("Engine/Block/Piston"), or by glob over the path
-    /// (`*`, `?`, `**` across levels). On a node with a mesh: the mesh's accelerator. On a node with
-    /// children: a structure of its own over its subtree. The first match in the list wins.
+    /// Objects whose boxes overlap others are opened into parts, until the structures over objects
+    /// hold this many times as many entries; at most 1: none. See open_overlapping.
+    double opening = 0;
+    /// A node matched by name, by path from a root ("Engine/Block/Piston"), or by glob over the
+    /// path
+    /// (`*`, `?`, `**` across levels). On a node with a mesh: the mesh's accelerator. On a node
+    /// with children: a structure of its own over its subtree. The first match in the list wins.
     struct Rule {
         std::string match;
         std::shared_ptr<const AcceleratorChoice> accelerator;
@@ -40,11 +44,13 @@ struct AssemblyPlan {
 /// An assembled scene. `root` is never null; an empty scene is a structure without objects.
 struct Assembly {
     std::shared_ptr<const Primitive> root;
-    double build_s = 0;            ///< wall seconds for all structures, sets included
-    uint64_t triangles = 0;        ///< in distinct sets
-    uint64_t instances = 0;        ///< mesh instances placed
+    double build_s = 0;               ///< wall seconds for all structures, sets included
+    uint64_t triangles = 0;           ///< in distinct sets
+    uint64_t instances = 0;           ///< mesh instances placed
     uint64_t inactive_instances = 0;  ///< left out: their transform cannot be inverted
     uint64_t inactive_shapes = 0;     ///< left out: NaN or infinite
+    uint64_t opened = 0;              ///< objects that were opened
+    uint64_t parts = 0;               ///< that stand for them
     std::vector<std::string> warnings;
     /// What each node got, for `crofton inspect`: path, accelerator label, type, shapes, bytes.
     struct Entry {

@@ -304,6 +304,31 @@ std::vector<MeshInstance> mesh_instances(const Scene& scene, size_t limit) {
     return instances;
 }
 
+ShapeGroups placement_groups(const Scene& scene) {
+    const std::vector<uint64_t> below = placements_below(scene);
+    checked_placements(scene, below, max_placements);
+    ShapeGroups groups;
+    uint32_t placed = 0;
+    std::vector<uint32_t> stack;
+    const auto push_reversed = [&](const std::vector<uint32_t>& nodes) {
+        for (auto it = nodes.rbegin(); it != nodes.rend(); ++it)
+            if (below[*it] > 0) stack.push_back(*it);
+    };
+    push_reversed(scene.roots);
+    while (!stack.empty()) {
+        const Node& node = scene.nodes[stack.back()];
+        const ShapeGroup group{placed, placed + uint32_t(below[stack.back()])};
+        stack.pop_back();
+        // Links of a chain are one group.
+        const bool repeated =
+            !groups.empty() && groups.back().first == group.first && groups.back().end == group.end;
+        if (group.end - group.first > 1 && !repeated) groups.push_back(group);
+        if (node.mesh) placed += uint32_t(std::max<size_t>(node.node_from_instance.size(), 1));
+        push_reversed(node.children);
+    }
+    return groups;
+}
+
 SceneStatistics statistics(const Scene& scene) {
     SceneStatistics result;
     std::vector<Summary> geometries;

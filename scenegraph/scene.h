@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "framework/bounds.h"
+#include "framework/shape_groups.h"
 #include "framework/transform.h"
 
 namespace crofton {
@@ -149,6 +150,10 @@ struct MeshInstance {
 /// All placements, depth first. Does not recurse: chains of any depth are fine.
 /// @throws InputError  if there are more than `limit` placements (shared nodes can multiply them)
 std::vector<MeshInstance> mesh_instances(const Scene& scene, size_t limit = max_placements);
+
+/// The groups that the graph makes of these placements: for each node, on each path to it, those
+/// below it, itself included; left out where that is one or none.
+ShapeGroups placement_groups(const Scene& scene);
 
 /// The counts and bounds that `crofton inspect --json` prints; keys as there.
 struct SceneStatistics {

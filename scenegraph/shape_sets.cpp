@@ -1,5 +1,7 @@
 #include "scenegraph/shape_sets.h"
 
+#include <algorithm>
+
 #include "framework/error.h"
 #include "framework/polygon_set.h"
 #include "framework/quadric_set.h"
@@ -64,6 +66,20 @@ void ShapeSetBuilder::add(const Polygons& polygons) {
     shapes_ += polygons.size();
 }
 
+/// None if there are only the geometries': the set knows those.
+ShapeGroups ShapeSetBuilder::triangle_groups() const {
+    if (groups_.empty()) return {};
+    const ShapeGroups geometries = IdTable(triangle_runs_).groups(uint32_t(triangles_.size()));
+    ShapeGroups all = groups_;
+    all.insert(all.end(), geometries.begin(), geometries.end());
+    // Into preorder: those that begin first, then those that hold others.
+    std::stable_sort(all.begin(), all.end(), [](const ShapeGroup& a, const ShapeGroup& b) {
+        return a.first != b.first ? a.first < b.first : a.end > b.end;
+    });
+    std::erase_if(all, [](const ShapeGroup& g) { return g.first == g.end; });
+    return all;
+}
+
 std::vector<PrimitiveSet> ShapeSetBuilder::take() {
     std::vector<PrimitiveSet> sets;
     if (!quadrics_.empty()) {
@@ -79,9 +95,10 @@ std::vector<PrimitiveSet> ShapeSetBuilder::take() {
             std::move(corners_), std::move(first_corner_), IdTable(std::move(polygon_runs_))));
     }
     if (!triangles_.empty() || sets.empty()) {
+        ShapeGroups groups = triangle_groups();
         IdTable ids = triangle_runs_.empty() ? IdTable() : IdTable(std::move(triangle_runs_));
-        sets.push_back(std::make_shared<const TriangleSet>(std::move(positions_),
-                                                           std::move(triangles_), std::move(ids)));
+        sets.push_back(std::make_shared<const TriangleSet>(
+            std::move(positions_), std::move(triangles_), std::move(ids), std::move(groups)));
     }
     return sets;
 }

@@ -27,6 +27,9 @@ class ShapeSetBuilder {
     bool add_mesh(uint32_t mesh, const Transform* world_from_object, uint32_t instance,
                   Kinds kinds = all);
 
+    /// Groups of the triangles added so far, beside those of their geometries.
+    void group_triangles(ShapeGroups groups) { groups_ = std::move(groups); }
+
     uint64_t triangles() const { return triangles_.size(); }
     uint64_t shapes() const { return shapes_; }
     /// The sets that are not empty, or an empty triangle set if all are.
@@ -36,6 +39,7 @@ class ShapeSetBuilder {
     void add(const TriangleMesh& mesh, const FloatTransform* map);
     void add(const Quadrics& quadrics);
     void add(const Polygons& polygons);
+    ShapeGroups triangle_groups() const;
 
     const Scene& scene_;
     uint64_t shapes_ = 0;
@@ -44,6 +48,7 @@ class ShapeSetBuilder {
     std::vector<Quadric> quadrics_;
     std::vector<Vec3f> corners_;
     std::vector<uint32_t> first_corner_;
+    ShapeGroups groups_;
     std::vector<IdTable::Run> triangle_runs_, quadric_runs_, polygon_runs_;
 };
 
