@@ -6,6 +6,7 @@
 #include <fstream>
 #include <iterator>
 
+#include "accelerators/opening.h"
 #include "framework/error.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
@@ -88,6 +89,27 @@ TEST_CASE("a nest is saved with its shared objects once, and lazy parts are buil
         const auto lazy = info.build(scene.set, {{"lazy", true}, {"lazy_size", int64_t(16)}});
         save_structure(*lazy, lazy_file.path());
         CHECK(test::different_hits(*lazy, *load_structure(lazy_file.path()).root, scene.rays) == 0);
+    }
+}
+
+TEST_CASE("parts of opened objects are saved, with their whole once") {
+    std::vector<Vec3f> p;
+    std::vector<std::array<uint32_t, 3>> t;
+    test::icosphere(2, p, t);
+    for (const char* name : {"bvh", "wide_bvh", "model_hierarchy"}) {
+        const std::shared_ptr<const Primitive> ball =
+            accelerator(name).build(std::make_shared<const TriangleSet>(p, t), {});
+        const OpenedObjects opened = open_overlapping(
+            {{ball, 0}, {std::make_shared<Instance>(ball, translation({0.5, 0.25, 0})), 1}}, 9);
+        REQUIRE(opened.opened == 2);
+        const auto saved =
+            accelerator("bvh").build(std::make_shared<const ObjectSet>(opened.objects), {});
+        const ScratchFile file("parts", "");
+        save_structure(*saved, file.path());
+        const auto loaded = load_structure(file.path()).root;
+        INFO(name);
+        CHECK(test::different_hits(*saved, *loaded, test::hard_rays(saved->bounds(), p, 8)) == 0);
+        CHECK(total_statistics(*loaded).N_OIV == total_statistics(*saved).N_OIV);
     }
 }
 

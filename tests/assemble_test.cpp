@@ -90,6 +90,76 @@ TEST_CASE("flattening changes no bit of any hit") {
     }
 }
 
+TEST_CASE("opening changes no bit of any hit, and says what it opened") {
+    Scene crowd = family();
+    crowd.nodes[1].parent_from_node = translation({3, 0.5, 0});
+    AssemblyPlan open = plan(), flat = plan();
+    open.opening = 8;
+    flat.flatten = true;
+    const Assembly a = assemble(crowd, flat), b = assemble(crowd, open);
+    CHECK(b.opened >= 2);
+    CHECK(b.parts > b.opened);
+    CHECK(assemble(crowd, plan()).opened == 0);
+    CHECK(assemble(family(), open).opened == 0);  // nothing overlaps
+    for (const char* top : {"bvh", "model_hierarchy"}) {
+        open.top = choice(top);
+        const Assembly c = assemble(crowd, open);
+        for (int i = 0; i < 2000; ++i) {
+            const float x = -2 + 10 * float(i % 50) / 50, y = -4 + 8 * float(i / 50) / 40;
+            CHECK(shoot(*a.root, x, y) == shoot(*c.root, x, y));
+        }
+    }
+}
+
+TEST_CASE("model_hierarchy over a scene has a box for every node with more than one object") {
+    const auto tree = std::make_shared<AcceleratorChoice>(
+        AcceleratorChoice{"model", "model_hierarchy", {{"merge", false}}, nullptr});
+    AssemblyPlan p = plan();
+    p.top = tree;
+    std::vector<Bounds3> boxes;
+    assemble(family(), p).root->walk([&](const Bounds3& b, uint32_t, bool leaf, uint32_t) {
+        if (!leaf) boxes.push_back(b);
+    });
+    // The scene's, and that of `left`; `right` has one object.
+    REQUIRE(boxes.size() == 2);
+    CHECK(boxes[1].upper.x() < -2);
+    CHECK(boxes[1].lower.y() < -2.5f);
+    CHECK(boxes[1].upper.y() > 2.5f);
+
+    p.flatten = true;
+    p.top = p.objects = tree;
+    std::vector<Bounds3> baked;
+    assemble(family(), p).root->walk([&](const Bounds3& b, uint32_t, bool, uint32_t) {
+        baked.push_back(b);
+    });
+    CHECK(std::any_of(baked.begin(), baked.end(), [&](const Bounds3& b) {
+        return (b.lower - boxes[1].lower).norm() < 1e-5f &&
+               (b.upper - boxes[1].upper).norm() < 1e-5f;
+    }));
+}
+
+TEST_CASE("placement groups are the nodes with more than one placement, chains once") {
+    const ShapeGroups groups = placement_groups(family());
+    REQUIRE(groups.size() == 2);
+    CHECK(groups[0].first == 0);
+    CHECK(groups[0].end == 3);
+    CHECK(groups[1].first == 0);
+    CHECK(groups[1].end == 2);
+
+    Scene chain = family();
+    uint32_t below = 0;
+    for (int i = 0; i < 100000; ++i) {
+        const uint32_t link = chain.add_node("", {});
+        chain.nodes[link].children = {below};
+        below = link;
+    }
+    chain.roots = {below};
+    CHECK(placement_groups(chain).size() == 2);
+    AssemblyPlan p = plan();
+    p.top = choice("model_hierarchy");
+    CHECK(shoot(*assemble(chain, p).root, 4, 0).instance == 2);
+}
+
 TEST_CASE(
     "a rule on a mesh node gives that mesh its structure, on a group a structure of its own") {
     AssemblyPlan p = plan();

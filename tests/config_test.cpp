@@ -103,6 +103,20 @@ TEST_CASE("config: nesting by name reaches the plan") {
     CHECK(plan.top->inside->type == "uniform_grid");
 }
 
+TEST_CASE("config: opening reaches the plan, is checked, and tells variants apart") {
+    const ExperimentFile file = read(scene +
+                                     "[assign]\nopening = 2\n[[variant]]\nname = \"a\"\n"
+                                     "[[variant]]\nname = \"b\"\nopening = 3.5\n");
+    const std::vector<Variant>& variants = file.experiments.at(0).variants;
+    CHECK(variants.at(0).plan.opening == 2);
+    CHECK(variants.at(1).plan.opening == 3.5);
+    CHECK(variants.at(0).canonical != variants.at(1).canonical);
+    CHECK(to_toml_document(read(scene).resolved).find("opening = 0") != std::string::npos);
+    CHECK(error_of(scene + "[assign]\nopening = -1\n").find("test.toml:4:11: opening: -1") == 0);
+    CHECK(error_of(scene + "[assign]\nopenin = 2\n").find("did you mean 'opening'?") !=
+          std::string::npos);
+}
+
 TEST_CASE("config: a rule that matches no node is refused with its place") {
     const ExperimentFile file =
         read(scene + "[[assign.node]]\nmatch = \"no_such_node\"\naccelerator = \"bvh\"\n");

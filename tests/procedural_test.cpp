@@ -138,6 +138,8 @@ TEST_CASE("procedural: counts follow from the parameters") {
     CHECK(counts("menger", {{"depth", 3}}).triangles_unique == 12);
     CHECK(counts("menger", {{"depth", 3}}).mesh_instances == 8000);
     CHECK(counts("menger", {{"depth", 3}}).depth == 7);
+    CHECK(counts("thicket", {{"n", 7}, {"triangles", 100}}).triangles_unique == 108);
+    CHECK(counts("thicket", {{"n", 7}}).mesh_instances == 7);
     const SceneStatistics flake = counts("sphereflake", {{"depth", 2}, {"tessellation", 3}});
     CHECK(flake.triangles_unique == 320 + 2);
     CHECK(flake.mesh_instances == 91 + 1);

@@ -11,6 +11,7 @@ Scene menger(const ProceduralValues& values);
 
 Scene terrain(const ProceduralValues& values);
 Scene hairball(const ProceduralValues& values);
+Scene thicket(const ProceduralValues& values);
 Scene random_triangles(const ProceduralValues& values);
 
 Scene grid_of_spheres(const ProceduralValues& values);

@@ -13,7 +13,7 @@ namespace {
 
 using procedural::cornell_box, procedural::grid_of_spheres, procedural::hairball, procedural::jacks,
     procedural::lattice, procedural::menger, procedural::random_triangles, procedural::sphereflake,
-    procedural::stadium, procedural::terrain, procedural::tetra;
+    procedural::stadium, procedural::terrain, procedural::tetra, procedural::thicket;
 
 ProceduralParameter integer(const char* name, const char* summary, double value, double minimum,
                             double maximum) {
@@ -83,6 +83,13 @@ std::vector<ProceduralScene> make_registry() {
          "the SPD scene: 4^depth triangles of recursive tetrahedra",
          {integer("depth", "levels", 6, 1, 11)},
          tetra},
+        {"thicket",
+         "instances of one long, winding stem, turned at random, whose boxes all overlap",
+         {integer("n", "stems, in two levels of groups", 200, 1, 1e6),
+          integer("triangles", "of the stem, rounded up to whole segments of 12", 3000, 12, 1e6),
+          real("length", "of a stem, in edges of the cube that holds their middles", 0.6, 1e-3, 10),
+          seed()},
+         thicket},
     };
 }
 

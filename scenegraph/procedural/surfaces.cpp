@@ -107,6 +107,60 @@ Scene hairball(const ProceduralValues& values) {
     return scene;
 }
 
+/// A tube about the y axis from -1/2 to 1/2 that winds around it.
+Geometry stem(uint32_t segments) {
+    constexpr uint32_t sides = 6;
+    MeshBuilder mesh;
+    uint32_t previous = 0;
+    for (uint32_t i = 0; i <= segments; ++i) {
+        const double s = double(i) / segments;
+        const CosSin wind = cos_sin(2.5 * s);
+        const Vec3d center(0.06 * wind.cos, s - 0.5, 0.06 * wind.sin);
+        uint32_t ring = 0;
+        for (uint32_t side = 0; side < sides; ++side) {
+            const CosSin a = cos_sin(double(side) / sides);
+            const uint32_t v = mesh.vertex(center + 0.012 * Vec3d(a.cos, 0, a.sin));
+            if (side == 0) ring = v;
+        }
+        for (uint32_t side = 0; i > 0 && side < sides; ++side) {
+            const uint32_t next = (side + 1) % sides;
+            mesh.quad(previous + next, previous + side, ring + side, ring + next);
+        }
+        previous = ring;
+    }
+    return mesh.geometry("stem");
+}
+
+Scene thicket(const ProceduralValues& values) {
+    Random random(uint64_t(values.at("seed")));
+    Scene scene;
+    scene.meshes.push_back(
+        {"stem", {scene.add_geometry(stem(uint32_t(std::ceil(values.at("triangles") / 12))))}});
+    const uint32_t count = uint32_t(values.at("n"));
+    // Groups of stems that grow near one another, as a model would have them.
+    const uint32_t bushes = std::max(1u, uint32_t(std::sqrt(double(count))));
+    const uint32_t root = scene.add_node("thicket", {});
+    for (uint32_t bush = 0; bush < bushes; ++bush) {
+        const Vec3d middle = random.in_unit_cube();
+        const uint32_t group =
+            scene.add_node("bush " + std::to_string(bush), {}, translation(middle), root);
+        const uint32_t begin = uint32_t(uint64_t(count) * bush / bushes),
+                       end = uint32_t(uint64_t(count) * (bush + 1) / bushes);
+        for (uint32_t i = begin; i < end; ++i) {
+            const Vec3d axis = random.direction().normalized();
+            const CosSin angle = cos_sin(random.unit());
+            Transform place;
+            for (int a = 0; a < 3; ++a)
+                place.linear.col(a) = values.at("length") * turned(Vec3d::Unit(a), axis, angle);
+            place.translation = 0.2 * (random.in_unit_cube() - Vec3d::Constant(0.5));
+            scene.add_node("", 0, place, group);
+        }
+    }
+    scene.cameras.push_back(camera({0.5, 0.8, 2.4}, Vec3d::Constant(0.5), Vec3d::UnitY()));
+    scene.lights.push_back({{3, 4, 5}});
+    return scene;
+}
+
 Scene random_triangles(const ProceduralValues& values) {
     const double size = values.at("size");
     Random random(uint64_t(values.at("seed")));
