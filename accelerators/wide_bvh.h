@@ -105,10 +105,9 @@ struct WideBvh {
         if (box.empty()) return;
         const bool full = format == WideNodes::full;
         for (int i = 0; i < width; ++i) {
-            const Bounds3 b = full ? child_bounds(nodes[at.index], i)
-                                   : child_bounds(quantised[at.index], i);
-            const uint32_t child =
-                full ? nodes[at.index].child[i] : quantised[at.index].child[i];
+            const Bounds3 b =
+                full ? child_bounds(nodes[at.index], i) : child_bounds(quantised[at.index], i);
+            const uint32_t child = full ? nodes[at.index].child[i] : quantised[at.index].child[i];
             if (!b.empty()) f(b, TraversalStart{child, 0});
         }
     }
