@@ -489,6 +489,16 @@ Bvh<Set> Bvh<Set>::build(const Set& set, const BvhParameters& p) {
     return bvh;
 }
 
+namespace {
+
+/// Wider by more than the roundings of a few sums of such coordinates.
+Bounds3 padded(const Bounds3& b) {
+    const Vec3f error = Vec3f::Constant(0x1p-19f * b.magnitude());
+    return {b.lower - error, b.upper + error};
+}
+
+}  // namespace
+
 Bounds3 child_box(const BvhNode& n, int side) {
     Bounds3 b;
     for (int a = 0; a < 3; ++a) {
@@ -503,7 +513,7 @@ Bounds3 child_box(const SpherePair& n, int side) {
         b.lower[a] = n.center[a][side] - n.radius[side];
         b.upper[a] = n.center[a][side] + n.radius[side];
     }
-    return widened(b, 0x1p-20f);
+    return b.empty() ? b : padded(b);
 }
 Bounds3 child_box(const ObbPair& n, int side) {
     const ObbPair::Child& c = n.child[side];
@@ -517,9 +527,7 @@ Bounds3 child_box(const ObbPair& n, int side) {
                 p[a] += c.direction[a][k] * (corner >> k & 1 ? c.upper[k] : c.lower[k]);
         b.extend(p);
     }
-    // For the rounding of the directions, and of this sum.
-    const Vec3f error = Vec3f::Constant(0x1p-19f * b.magnitude());
-    return {b.lower - error, b.upper + error};
+    return padded(b);
 }
 Bounds3 child_box(const KdopPair& n, int side) {
     const KdopPair::Child& c = n.child[side];
