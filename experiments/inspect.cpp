@@ -40,7 +40,10 @@ struct ShapeBytes {
     uint64_t operator()(const Polygons& p) const {
         return p.positions.size() * sizeof(Vec3f) + p.first.size() * sizeof(uint32_t);
     }
-    uint64_t operator()(const Points& p) const { return p.positions.size() * sizeof(Vec3f); }
+    uint64_t operator()(const Points& p) const {
+        return (p.positions.size() + p.normals.size()) * sizeof(Vec3f) +
+               p.radii.size() * sizeof(float);
+    }
 };
 
 std::string mesh_text(const Scene& scene, uint32_t mesh) {

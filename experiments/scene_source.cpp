@@ -16,7 +16,7 @@ namespace {
 struct ShapeBytes {
     ArchiveWriter& out;
     void operator()(const TriangleMesh& m) const { out(m.positions, m.triangles); }
-    void operator()(const Points& p) const { out(p.positions); }
+    void operator()(const Points& p) const { out(p.positions, p.normals, p.radii); }
     void operator()(const Polygons& p) const { out(p.positions, p.first); }
     void operator()(const Quadrics& q) const {
         for (const Quadric& quadric : q.shapes) {

@@ -250,24 +250,51 @@ class BodyReader {
 
     void read_vertices(const Element& element) {
         if (!mesh_.positions.empty()) in_.fail("a second vertex element");
-        std::vector<int> axis_of(element.properties.size(), -1);
-        for (int axis = 0; axis < 3; ++axis) {
-            const std::string name(1, char('x' + axis));
-            const auto found = std::find_if(element.properties.begin(), element.properties.end(),
-                                            [&](const Property& p) { return p.name == name; });
-            if (found == element.properties.end() || found->list)
-                in_.fail("the vertex element has no property '" + name + "'");
-            axis_of[size_t(found - element.properties.begin())] = axis;
-        }
+        const std::vector<Column> columns = vertex_columns(element);
+        const auto has = [&](Column c) {
+            return std::find(columns.begin(), columns.end(), c) != columns.end();
+        };
         mesh_.positions.resize(element.count);
-        for (Vec3f& position : mesh_.positions) {
-            for (size_t i = 0; i < axis_of.size(); ++i) {
-                if (axis_of[i] >= 0)
-                    position[axis_of[i]] = static_cast<float>(in_.next(element.properties[i].type));
-                else
+        if (has(kNormalX) && has(kNormalY) && has(kNormalZ)) normals_.resize(element.count);
+        if (has(kRadius)) radii_.resize(element.count);
+        for (size_t v = 0; v < element.count; ++v)
+            for (size_t i = 0; i < columns.size(); ++i) {
+                if (columns[i] == kOther) {
                     skip(element.properties[i]);
+                    continue;
+                }
+                const float value = static_cast<float>(in_.next(element.properties[i].type));
+                if (columns[i] <= kZ)
+                    mesh_.positions[v][columns[i]] = value;
+                else if (columns[i] == kRadius)
+                    radii_[v] = value;
+                else if (!normals_.empty())
+                    normals_[v][columns[i] - kNormalX] = value;
             }
+    }
+
+    enum Column { kX, kY, kZ, kNormalX, kNormalY, kNormalZ, kRadius, kOther };
+
+    /// What each property of a vertex is; normals and radii are of no use where there are faces.
+    std::vector<Column> vertex_columns(const Element& element) const {
+        static const char* const names[] = {"x", "y", "z", "nx", "ny", "nz", "radius"};
+        std::vector<Column> columns(element.properties.size(), kOther);
+        for (int c = kX; c <= (declares_faces() ? kZ : kRadius); ++c) {
+            const auto found =
+                std::find_if(element.properties.begin(), element.properties.end(),
+                             [&](const Property& p) { return p.name == names[c] && !p.list; });
+            if (found != element.properties.end())
+                columns[size_t(found - element.properties.begin())] = Column(c);
+            else if (c <= kZ)
+                in_.fail("the vertex element has no property '" + std::string(names[c]) + "'");
         }
+        return columns;
+    }
+
+    bool declares_faces() const {
+        return std::any_of(header_.elements.begin(), header_.elements.end(), [](const Element& e) {
+            return e.count > 0 && (e.name == "face" || e.name == "tristrips");
+        });
     }
 
     void skip(const Property& p) { in_.skip(p.type, p.list ? length(p) : 1); }
@@ -360,7 +387,9 @@ class BodyReader {
         if (has_faces_)
             scene.add_object(name, {name, 0, std::move(mesh_)});
         else
-            scene.add_object(name, {name, 0, Points{std::move(mesh_.positions)}});
+            scene.add_object(
+                name, {name, 0,
+                       Points{std::move(mesh_.positions), std::move(normals_), std::move(radii_)}});
         if (!has_faces_) scene.warnings.push_back("no faces: read as points");
         if (small_faces_ > 0)
             scene.warnings.push_back(std::to_string(small_faces_) +
@@ -373,6 +402,8 @@ class BodyReader {
     const Header& header_;
     Values in_;
     TriangleMesh mesh_;
+    std::vector<Vec3f> normals_;  ///< of points, as are radii
+    std::vector<float> radii_;
     std::vector<uint32_t> indices_;
     bool has_faces_ = false;
     size_t small_faces_ = 0;

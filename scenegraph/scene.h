@@ -50,9 +50,12 @@ struct Polygons {
     uint32_t size() const { return first.empty() ? 0 : uint32_t(first.size() - 1); }
 };
 
-/// Points with a radius each (a cloud): `lod` structures draw them as splats, others skip them.
+/// A cloud of points, each traced as a splat: a sphere, or a disc where a normal is known. See
+/// scenegraph/splats.h.
 struct Points {
     std::vector<Vec3f> positions;
+    std::vector<Vec3f> normals = {};  ///< of any length, 0 for none; one a point, or empty
+    std::vector<float> radii = {};    ///< >= 0; one a point, or empty: from the points' spacing
 };
 
 /// A run of shapes of one kind with one material: what a Hit calls a geometry.

@@ -4,6 +4,8 @@
 #include <Eigen/LU>
 #include <cmath>
 
+#include "scenegraph/splats.h"
+
 namespace crofton {
 namespace {
 
@@ -47,7 +49,10 @@ struct ObjectNormal {
         }
         return sum;
     }
-    Vec3d operator()(const Points&) const { return Vec3d::Zero(); }
+    Vec3d operator()(const Points& points) const {
+        if (is_disc(points, primitive)) return points.normals[primitive].cast<double>();
+        return p - points.positions[primitive].cast<double>();
+    }
 };
 
 }  // namespace

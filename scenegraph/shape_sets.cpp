@@ -4,8 +4,8 @@
 
 #include "framework/error.h"
 #include "framework/polygon_set.h"
-#include "framework/quadric_set.h"
 #include "framework/triangle_set.h"
+#include "scenegraph/splats.h"
 
 namespace crofton {
 
@@ -30,13 +30,16 @@ bool ShapeSetBuilder::add_mesh(uint32_t mesh, const Transform* world_from_object
             triangle_runs_.push_back({uint32_t(triangles_.size()), g, 0, instance});
             add(*triangles, world_from_object ? &map : nullptr);
         } else if (world_from_object) {
-            complete = complete && std::holds_alternative<Points>(shapes);
+            complete = false;
         } else if (const auto* quadrics = std::get_if<Quadrics>(&shapes)) {
             quadric_runs_.push_back({uint32_t(quadrics_.size()), g, 0, instance});
             add(*quadrics);
         } else if (const auto* polygons = std::get_if<Polygons>(&shapes)) {
             polygon_runs_.push_back({uint32_t(first_corner_.size()), g, 0, instance});
             add(*polygons);
+        } else if (const auto* points = std::get_if<Points>(&shapes)) {
+            quadric_runs_.push_back({uint32_t(quadrics_.size()), g, 0, instance});
+            add(*points);
         }
     }
     return complete;
@@ -54,8 +57,14 @@ void ShapeSetBuilder::add(const TriangleMesh& mesh, const FloatTransform* map) {
 }
 
 void ShapeSetBuilder::add(const Quadrics& quadrics) {
-    quadrics_.insert(quadrics_.end(), quadrics.shapes.begin(), quadrics.shapes.end());
+    for (const Quadric& q : quadrics.shapes) quadrics_.push_back(quadric_shape(q));
     shapes_ += quadrics.shapes.size();
+}
+
+void ShapeSetBuilder::add(const Points& points) {
+    const std::vector<QuadricShape> shapes = splats(points);
+    quadrics_.insert(quadrics_.end(), shapes.begin(), shapes.end());
+    shapes_ += shapes.size();
 }
 
 void ShapeSetBuilder::add(const Polygons& polygons) {
@@ -82,13 +91,9 @@ ShapeGroups ShapeSetBuilder::triangle_groups() const {
 
 std::vector<PrimitiveSet> ShapeSetBuilder::take() {
     std::vector<PrimitiveSet> sets;
-    if (!quadrics_.empty()) {
-        std::vector<QuadricShape> shapes;
-        shapes.reserve(quadrics_.size());
-        for (const Quadric& q : quadrics_) shapes.push_back(quadric_shape(q));
-        sets.push_back(std::make_shared<const QuadricSet>(std::move(shapes),
+    if (!quadrics_.empty())
+        sets.push_back(std::make_shared<const QuadricSet>(std::move(quadrics_),
                                                           IdTable(std::move(quadric_runs_))));
-    }
     if (!first_corner_.empty()) {
         first_corner_.push_back(uint32_t(corners_.size()));
         sets.push_back(std::make_shared<const PolygonSet>(

@@ -39,13 +39,14 @@ class ShapeSetBuilder {
     void add(const TriangleMesh& mesh, const FloatTransform* map);
     void add(const Quadrics& quadrics);
     void add(const Polygons& polygons);
+    void add(const Points& points);
     ShapeGroups triangle_groups() const;
 
     const Scene& scene_;
     uint64_t shapes_ = 0;
     std::vector<Vec3f> positions_;
     std::vector<std::array<uint32_t, 3>> triangles_;
-    std::vector<Quadric> quadrics_;
+    std::vector<QuadricShape> quadrics_;
     std::vector<Vec3f> corners_;
     std::vector<uint32_t> first_corner_;
     ShapeGroups groups_;

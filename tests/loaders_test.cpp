@@ -323,6 +323,28 @@ TEST_CASE("ply: without faces the vertices are points") {
     CHECK(statistics(scene).triangles_unique == 0);
 }
 
+TEST_CASE("ply: points keep their normals and radii, faces leave no use for them") {
+    const std::string vertices =
+        "element vertex 2\nproperty float nz\nproperty float x\nproperty float y\n"
+        "property uchar red\nproperty float z\nproperty float nx\nproperty float ny\n"
+        "property float radius\n";
+    const std::string values = "3 10 20 255 30 1 2 0.5\n-1 11 21 0 31 0 0 0.25\n";
+    const Scene scene = ply(ply_header(vertices) + values);
+    const Points& points = std::get<Points>(scene.geometries.at(0).shapes);
+    CHECK(points.positions == std::vector<Vec3f>{{10, 20, 30}, {11, 21, 31}});
+    CHECK(points.normals == std::vector<Vec3f>{{1, 2, 3}, {0, 0, -1}});
+    CHECK(points.radii == std::vector<float>{0.5f, 0.25f});
+    const Scene mesh = ply(ply_header(vertices + "element face 1\n"
+                                                 "property list uchar int vertex_indices\n") +
+                           values + "3 0 1 0\n");
+    CHECK(mesh_of(mesh).positions == std::vector<Vec3f>{{10, 20, 30}, {11, 21, 31}});
+    // Two of three components are no normal.
+    const Scene partial = ply(ply_header("element vertex 1\nproperty float x\nproperty float y\n"
+                                         "property float z\nproperty float nx\n") +
+                              "1 2 3 4\n");
+    CHECK(std::get<Points>(partial.geometries.at(0).shapes).normals.empty());
+}
+
 // --- NFF ------------------------------------------------------------------------------------
 
 TEST_CASE("nff: every entity of the format is read, comments anywhere") {
