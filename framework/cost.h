@@ -10,6 +10,7 @@ struct CostConstants {
     double obb_node = 9.0;
     double kdop_node = 6.0;
     double wide_node = 1.5;    ///< eight children at once, as a share of each binary node inside
+    double sphere_node = 9.0;  ///< four quantised spheres at once
     double plane = 1.5;        ///< a step down a tree of planes
     double general_plane = 4.0;  ///< the same where the plane has any direction
     double octree_node = 5.0;  ///< three planes, eight children
