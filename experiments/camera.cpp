@@ -48,6 +48,10 @@ Camera choose_camera(const CameraSpec& spec, const Scene& scene, const BoundingS
     return camera;
 }
 
+double pixel_angle(const Camera& camera, int height) {
+    return 2 * std::tan(camera.fov_y / 2) / height;
+}
+
 std::vector<Ray> camera_rays(const Camera& camera, int width, int height) {
     const Vec3d forward = (camera.at - camera.eye).normalized();
     Vec3d right = forward.cross(camera.up);

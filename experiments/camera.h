@@ -22,6 +22,9 @@ Camera fitted_camera(const BoundingSphere& sphere, const Vec3d& up, double fov_y
 Camera choose_camera(const CameraSpec& spec, const Scene& scene, const BoundingSphere& sphere,
                      size_t index = 0);
 
+/// What a pixel in the middle of an image of `height` rows sees, across. Radians.
+double pixel_angle(const Camera& camera, int height);
+
 /// One ray through each pixel's centre, rows from the top, pixels from the left. Directions have
 /// unit length before they are rounded to float.
 std::vector<Ray> camera_rays(const Camera& camera, int width, int height);

@@ -135,9 +135,11 @@ AssemblyPlan plan_of(const StructureArguments& arguments, const Experiment& expe
 }
 
 /// Builds, or loads what was saved for this scene.
+/// @param pixel  angle in radians for structures that end rays early; 0: their own default
 Assembly assemble(const StructureArguments& arguments, const Experiment& experiment,
-                  const Scene& scene) {
-    if (arguments.structure.empty()) return assemble(scene, plan_of(arguments, experiment));
+                  const Scene& scene, double pixel = 0) {
+    if (arguments.structure.empty())
+        return assemble(scene, with_pixel_angle(plan_of(arguments, experiment), pixel));
     SavedStructure saved = load_structure(arguments.structure);
     if (saved.subject != fingerprint(scene))
         throw InputError(arguments.structure + ": was saved for another scene than '" +
@@ -196,9 +198,10 @@ int render(const RenderArguments& arguments) {
     const Scene scene = make_scene(experiment.scene);
     const SceneStatistics s = statistics(scene);
     progress.step(arguments.structure.empty() ? "building" : "loading the structure");
-    const Assembly assembly = assemble(arguments, experiment, scene);
     const BoundingSphere sphere = bounding_sphere(s.bounds_min, s.bounds_max);
     const Camera camera = choose_camera(experiment.scene.camera, scene, sphere);
+    const Assembly assembly =
+        assemble(arguments, experiment, scene, pixel_angle(camera, arguments.height));
     progress.step("drawing");
     const Primitive& root = *assembly.root;
     if (arguments.shade == "normal") {

@@ -150,12 +150,24 @@ std::string canonical(const AssemblyPlan& plan) {
     return text;
 }
 
+/// Whether an accelerator of the plan may end rays early: its parameter `lod` is above 0.
+bool has_lod(const AssemblyPlan& plan) {
+    std::vector<const AcceleratorChoice*> open{plan.top.get(), plan.objects.get()};
+    for (const auto& rule : plan.rules) open.push_back(rule.accelerator.get());
+    for (const AcceleratorChoice* choice : open)
+        for (; choice; choice = choice->inside.get())
+            if (const auto lod = choice->parameters.find("lod"); lod != choice->parameters.end())
+                if (std::get<double>(lod->second) > 0) return true;
+    return false;
+}
+
 Variant make_variant(const std::string& name, const Assignment& assignment) {
     Variant variant;
     variant.name = name;
     variant.plan = {assignment.top, assignment.objects, assignment.flatten, assignment.opening,
                     assignment.rules};
     variant.canonical = canonical(variant.plan);
+    variant.exact = !has_lod(variant.plan);
     return variant;
 }
 
@@ -205,6 +217,33 @@ AssemblyPlan uniform_plan(const std::string& accelerator_name) {
     AssemblyPlan plan;
     plan.top = plan.objects = choice;
     return plan;
+}
+
+AssemblyPlan with_pixel_angle(const AssemblyPlan& plan, double angle) {
+    std::map<const AcceleratorChoice*, ChoicePointer> done{{nullptr, nullptr}};
+    const auto filled = [&](const ChoicePointer& first) {
+        // From the end of a chain of `inside`, so that every link points at a filled one.
+        std::vector<const AcceleratorChoice*> chain;
+        for (const AcceleratorChoice* at = first.get(); at; at = at->inside.get())
+            chain.push_back(at);
+        for (auto at = chain.rbegin(); at != chain.rend(); ++at) {
+            if (done.contains(*at)) continue;
+            auto copy = std::make_shared<AcceleratorChoice>(**at);
+            copy->inside = done.at((*at)->inside.get());
+            if (accelerator(copy->type).find("pixel_angle")) {
+                ParameterValue& value =
+                    copy->parameters.try_emplace("pixel_angle", 0.0).first->second;
+                if (std::get<double>(value) == 0) value = angle;
+            }
+            done[*at] = copy;
+        }
+        return done.at(first.get());
+    };
+    AssemblyPlan out = plan;
+    out.top = filled(plan.top);
+    out.objects = filled(plan.objects);
+    for (AssemblyPlan::Rule& rule : out.rules) rule.accelerator = filled(rule.accelerator);
+    return out;
 }
 
 }  // namespace crofton

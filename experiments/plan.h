@@ -16,8 +16,9 @@ namespace crofton {
 struct Variant {
     std::string name;
     AssemblyPlan plan;
-    std::optional<int64_t> max_rays;                         ///< timed per pass
-    std::string canonical;                                   ///< equal texts: equal structures
+    std::optional<int64_t> max_rays;  ///< timed per pass
+    std::string canonical;            ///< equal texts: equal structures
+    bool exact = true;  ///< false: rays may end at something coarser than the shapes, see `lod`
     std::vector<std::pair<std::string, ConfigValue>> sweep;  ///< the values that led here
 };
 
@@ -29,6 +30,11 @@ std::vector<Variant> parse_variants(ConfigTable& root);
 
 /// A plan that gives the whole scene one registered accelerator with its defaults.
 AssemblyPlan uniform_plan(const std::string& accelerator_name);
+
+/// The plan with the pixel angle of a camera wherever an accelerator has that parameter and no
+/// value.
+/// @param angle  radians
+AssemblyPlan with_pixel_angle(const AssemblyPlan& plan, double angle);
 
 /// Equal texts: equal structures.
 std::string canonical(const AcceleratorChoice& choice);

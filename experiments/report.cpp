@@ -105,6 +105,12 @@ std::string part_text(std::span<const Row> rows, bool color) {
         if (row.rays_checked < row.rays)
             text += fmt::format("    {}: hits and counters on {} of {} rays\n", row.variant,
                                 row.rays_checked, row.rays);
+        if (row.depth_error)
+            text += fmt::format(
+                "    {}: ends rays early; t is off by {:.3g} % rms, {:.3g} % at most, and {} of {} "
+                "rays hit or miss otherwise than in {}\n",
+                row.variant, 100 * row.depth_error->rms, 100 * row.depth_error->max,
+                row.depth_error->hit_or_miss, row.rays_checked, row.checked_against);
     }
     return text;
 }
@@ -138,8 +144,11 @@ std::string report_text(const RunOutput& output, const std::string& folder, bool
         text += "Check FAILED: hits differ between variants.\n";
         for (const std::string& line : output.mismatches) text += "  " + line + "\n";
     } else if (checked) {
+        const bool all = std::none_of(output.rows.begin(), output.rows.end(),
+                                      [](const Row& row) { return row.depth_error.has_value(); });
         text +=
-            "Check passed: all variants' hits agree ray by ray, in ids and in every bit of t.\n";
+            fmt::format("Check passed: {} hits agree ray by ray, in ids and in every bit of t.\n",
+                        all ? "all variants'" : "all exact variants'");
     }
     if (!output.pictures.empty()) {
         text += "Pictures:";

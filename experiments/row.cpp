@@ -110,6 +110,11 @@ std::string to_json_line(const Row& row) {
     json["hits_checksum"] = row.hits_checksum;
     json["mismatches"] = row.mismatches;
     json["checked_against"] = row.checked_against;
+    json["depth_error"] = nullptr;
+    if (row.depth_error)
+        json["depth_error"] = {{"rms", row.depth_error->rms},
+                               {"max", row.depth_error->max},
+                               {"hit_or_miss", row.depth_error->hit_or_miss}};
     json["triangles"] = row.triangles;
     json["triangles_instanced"] = row.triangles_instanced;
     json["shapes"] = row.shapes;

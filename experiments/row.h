@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -11,6 +12,13 @@
 #include "framework/primitive.h"
 
 namespace crofton {
+
+/// How far the hits of a variant that may end rays early (see Variant::exact) are from exact ones.
+struct DepthError {
+    double rms = 0;  ///< of t, relative to the exact t, over rays that hit in both
+    double max = 0;
+    uint64_t hit_or_miss = 0;  ///< rays that hit in one and miss in the other
+};
 
 /// The result of one variant on one workload: a line of rows.jsonl.
 struct Row {
@@ -23,6 +31,7 @@ struct Row {
     std::string hits_checksum;
     uint64_t mismatches = 0;  ///< rays whose hit differs from the reference variant's
     std::string checked_against;
+    std::optional<DepthError> depth_error;  ///< instead of mismatches
     uint64_t triangles = 0, triangles_instanced = 0, shapes = 0, instances = 0;
     double build_s = 0;
     /// Median seconds from nothing built to every ray of the workload traced once; 0: not measured.

@@ -94,6 +94,11 @@ class Run {
         instances_ = mesh_instances(scene_);
         statistics_ = statistics(scene_);
         sphere_ = bounding_sphere(statistics_.bounds_min, statistics_.bounds_max);
+        // Structures are built once: for the pixels of the first image there is.
+        int64_t height = 0;
+        for (const WorkloadSpec& w : spec_.workloads) height = height ? height : w.height;
+        pixel_ = pixel_angle(choose_camera(spec_.scene.camera, scene_, sphere_),
+                             int(height ? height : spec_.run.picture_height));
         constexpr size_t most = 5;
         for (size_t i = 0; i < std::min(most, scene_.warnings.size()); ++i)
             output_.notes.push_back(scene_.name + ": " + scene_.warnings[i]);
@@ -102,9 +107,13 @@ class Run {
                 fmt::format("{}: {} more warnings", scene_.name, scene_.warnings.size() - most));
     }
 
+    Assembly assembled(const Variant& variant) const {
+        return assemble(scene_, with_pixel_angle(variant.plan, pixel_));
+    }
+
     void build(const Variant& variant) {
         progress_.step("building " + variant.name);
-        Built built{&variant, assemble(scene_, variant.plan)};
+        Built built{&variant, assembled(variant)};
         for (const std::string& warning : built.assembly.warnings)
             output_.notes.push_back(variant.name + ": " + warning);
         built_.push_back(std::move(built));
@@ -164,7 +173,7 @@ class Run {
         std::vector<std::vector<double>> seconds(trials.size());
         for (int64_t pass = 0; pass < spec_.run.first_image; ++pass)
             for (size_t i = 0; i < trials.size(); ++i) {
-                const Assembly fresh = assemble(scene_, trials[i].built->spec->plan);
+                const Assembly fresh = assembled(*trials[i].built->spec);
                 seconds[i].push_back(fresh.build_s +
                                      timed_pass(*fresh.root, rays_, timed_tracing()));
                 trials[i].row.first_image_bytes = total_statistics(*fresh.root).bytes;
@@ -173,17 +182,20 @@ class Run {
             trials[i].row.first_image_s = median_interval(seconds[i]).median;
     }
 
-    /// Traces every variant once, which also warms it up, and compares with the fastest.
+    /// Traces every variant once, which also warms it up, and compares with the fastest exact one.
     void check(std::vector<Trial>& trials, const WorkloadSpec& workload) {
         progress_.step("checking hits: " + workload.name);
-        auto reference = std::min_element(trials.begin(), trials.end(),
-                                          [](auto& a, auto& b) { return a.pilot < b.pilot; });
-        reference->check_all = true;
+        Trial* fastest = nullptr;
+        for (Trial& trial : trials)
+            if (trial.built->spec->exact && (!fastest || trial.pilot < fastest->pilot))
+                fastest = &trial;
+        if (fastest) fastest->check_all = true;
         const Tracing tracing{any_, 0};
+        const std::string against = fastest ? fastest->built->spec->name : "a bvh";
         const std::vector<Hit> expected =
-            trace_hits(*reference->built->assembly.root, rays_, tracing);
+            trace_hits(fastest ? *fastest->built->assembly.root : reference(), rays_, tracing);
         for (Trial& trial : trials) {
-            const bool self = &trial == &*reference;
+            const bool self = &trial == fastest;
             const std::vector<Hit> hits =
                 self ? expected
                      : trace_hits(*trial.built->assembly.root, checked_rays(trial), tracing);
@@ -191,20 +203,48 @@ class Run {
             trial.row.hits = uint64_t(
                 std::count_if(hits.begin(), hits.end(), [](const Hit& h) { return h.is_hit(); }));
             trial.row.hits_checksum = checksum(hits);
-            trial.row.checked_against = spec_.run.check ? reference->built->spec->name : "";
-            if (spec_.run.check && !self) compare(trial, hits, expected, *reference, workload);
+            trial.row.checked_against = spec_.run.check ? against : "";
+            if (!spec_.run.check || self) continue;
+            if (trial.built->spec->exact)
+                compare(trial, hits, expected, against, workload);
+            else
+                trial.row.depth_error = depth_error(trial, hits, expected);
         }
     }
 
+    /// Index in rays_ of the i-th ray that a trial is checked on.
+    static size_t ray_index(const Trial& trial, size_t i) {
+        return trial.check_all || trial.timed.empty() ? i : trial.timed[i];
+    }
+
+    static DepthError depth_error(const Trial& trial, const std::vector<Hit>& hits,
+                                  const std::vector<Hit>& expected) {
+        DepthError error;
+        double sum = 0;
+        uint64_t both = 0;
+        for (size_t i = 0; i < hits.size(); ++i) {
+            const Hit &a = hits[i], &b = expected[ray_index(trial, i)];
+            error.hit_or_miss += a.is_hit() != b.is_hit();
+            // An any-hit query has no t.
+            if (!a.is_hit() || !b.is_hit() || !std::isfinite(a.t) || b.t == 0) continue;
+            const double relative = std::abs((double(a.t) - b.t) / b.t);
+            sum += relative * relative;
+            error.max = std::max(error.max, relative);
+            ++both;
+        }
+        error.rms = both ? std::sqrt(sum / double(both)) : 0;
+        return error;
+    }
+
     void compare(Trial& trial, const std::vector<Hit>& hits, const std::vector<Hit>& expected,
-                 const Trial& reference, const WorkloadSpec& workload) {
+                 const std::string& against, const WorkloadSpec& workload) {
         std::string first;
         for (size_t i = 0; i < hits.size(); ++i) {
-            const size_t ray = trial.check_all || trial.timed.empty() ? i : trial.timed[i];
+            const size_t ray = ray_index(trial, i);
             if (same_hit(hits[i], expected[ray])) continue;
             if (trial.row.mismatches++ == 0)
                 first = fmt::format("ray {}: {}, but {} in {}", ray, hit_text(hits[i]),
-                                    hit_text(expected[ray]), reference.built->spec->name);
+                                    hit_text(expected[ray]), against);
         }
         if (trial.row.mismatches)
             output_.mismatches.push_back(fmt::format("{} on {}: {} of {} hits differ; {}",
@@ -286,13 +326,20 @@ class Run {
         for (const std::string& path : paths) write_hits(path, hits);
     }
 
-    /// A picture by normals, and one of the costs of every variant, all on the same scale.
+    /// A picture by normals (of each variant that ends rays early, too), and one of the costs of
+    /// every variant, all on the same scale.
     void draw() {
         const int width = int(spec_.run.picture_width), height = int(spec_.run.picture_height);
         const Camera camera = choose_camera(spec_.scene.camera, scene_, sphere_);
         progress_.step("drawing normals");
         save("normal-" + file_name_of(scene_.name),
              normal_image(scene_, reference(), camera, width, height));
+        for (const Built& built : built_) {
+            if (built.spec->exact) continue;
+            progress_.step("drawing normals of " + built.spec->name);
+            save("normal-" + file_name_of(scene_.name + "-" + built.spec->name),
+                 normal_image(scene_, *built.assembly.root, camera, width, height));
+        }
         std::vector<CostMap> maps;
         double highest = 0;
         for (const Built& built : built_) {
@@ -327,6 +374,7 @@ class Run {
     std::vector<MeshInstance> instances_;
     SceneStatistics statistics_;
     BoundingSphere sphere_;
+    double pixel_ = 0;  ///< angle of a pixel, radians
     std::vector<Built> built_;
     std::optional<Assembly> reference_;
     std::vector<Ray> rays_;
@@ -342,7 +390,9 @@ void run_experiment(const Experiment& experiment, const std::string& hits_path, 
 
 size_t step_count(const Experiment& experiment) {
     const size_t variants = experiment.variants.size();
-    const size_t pictures = experiment.run.pictures ? 1 + variants : 0;
+    const auto early = size_t(std::count_if(experiment.variants.begin(), experiment.variants.end(),
+                                            [](const Variant& v) { return !v.exact; }));
+    const size_t pictures = experiment.run.pictures ? 1 + early + variants : 0;
     return 1 + variants + experiment.workloads.size() * (3 + size_t(experiment.run.repeats)) +
            pictures;
 }

@@ -312,3 +312,75 @@ TEST_CASE("cli: export writes the boxes of every structure as lines that a glTF 
         CHECK(json.at("triangles_unique") == 0);
     }
 }
+
+TEST_CASE("cli: a cloud of points is inspected, rendered and run like any scene") {
+    Folder folder;
+    std::string text =
+        "ply\nformat ascii 1.0\nelement vertex 441\nproperty float x\nproperty float y\n"
+        "property float z\nend_header\n";
+    for (int i = 0; i < 441; ++i)
+        text += std::to_string(i % 21 * 0.1) + " " + std::to_string(i / 21 * 0.1) + " 0\n";
+    const std::string ply = folder.file("cloud.ply", text);
+    const auto json =
+        nlohmann::json::parse(run_crofton("inspect --json --accelerator bvh " + ply).out);
+    CHECK(json.at("shapes_unique") == 441);
+    CHECK(json.at("nodes_assigned").at(0).at("shapes") == 441);
+    const std::string png = folder.path("cloud.png");
+    CHECK(run_crofton("render " + ply +
+                      " --accelerator sphere_hierarchy --set lod=2 --width 64 "
+                      "--height 64 -o " +
+                      png)
+              .code == 0);
+    CHECK(read_text(png).substr(1, 3) == "PNG");
+    const Outcome outcome = run_crofton(
+        "run " +
+        folder.file("c.toml",
+                    "[scene]\nfile = \"cloud.ply\"\n[camera]\neye = [1, 1, 5]\nat = [1, 1, 0]\n"
+                    "fov = 25\n[[variant]]\nname = \"a\"\n"
+                    "[[variant]]\nname = \"b\"\ndefault = \"kdtree\"\n"
+                    "[run]\nrepeats = 1\npictures = false\n") +
+        " --out " + folder.path("out"));
+    INFO(outcome.out);
+    CHECK(outcome.code == 0);
+    // The camera sees nothing but the cloud, whose splats leave no holes between them.
+    std::ifstream rows(folder.path("out") + "/rows.jsonl");
+    std::string line;
+    REQUIRE(std::getline(rows, line));
+    CHECK(nlohmann::json::parse(line).at("hits").get<double>() > 0.6 * 250000);
+}
+
+TEST_CASE("cli: variants that end rays early report a depth error and fail no check") {
+    Folder folder;
+    const std::string config =
+        folder.file("c.toml",
+                    "[scene]\nprocedural = \"terrain\"\nparameters = { n = 64 }\n"
+                    "[accelerator.coarse]\ntype = \"sphere_hierarchy\"\nlod = 8\n"
+                    "[accelerator.exact]\ntype = \"sphere_hierarchy\"\n"
+                    "[[variant]]\nname = \"coarse\"\ndefault = \"coarse\"\n"
+                    "[[variant]]\nname = \"exact\"\ndefault = \"exact\"\n"
+                    "[[variant]]\nname = \"bvh\"\n"
+                    "[[workload]]\ntype = \"primary\"\nwidth = 64\nheight = 48\n"
+                    "[[workload]]\ntype = \"ambient_occlusion\"\nrays = 1000\n"
+                    "[run]\nrepeats = 1\npicture_width = 64\npicture_height = 64\n");
+    for (const std::string only : {"", " --set variant.exact.default=coarse"}) {
+        const std::string out = folder.path("out");
+        const Outcome outcome = run_crofton("run " + config + " --out " + out + only);
+        INFO(outcome.out);
+        REQUIRE(outcome.code == 0);
+        CHECK(outcome.out.find("coarse: ends rays early; t is off by ") != std::string::npos);
+        CHECK(outcome.out.find("all exact variants' hits agree") != std::string::npos);
+        std::ifstream rows(out + "/rows.jsonl");
+        std::vector<nlohmann::json> parsed;
+        for (std::string line; std::getline(rows, line);)
+            parsed.push_back(nlohmann::json::parse(line));
+        REQUIRE(parsed.size() == 6);
+        const auto& coarse = parsed[0].at("depth_error");
+        CHECK(coarse.at("rms") > 0);
+        CHECK(coarse.at("max") >= coarse.at("rms"));
+        CHECK(coarse.contains("hit_or_miss"));
+        CHECK(parsed[0].at("mismatches") == 0);
+        CHECK(parsed[1].at("depth_error").is_null() == only.empty());
+        CHECK(parsed[2].at("depth_error").is_null());
+        CHECK(read_text(out + "/normal-terrain-coarse.png").substr(1, 3) == "PNG");
+    }
+}
