@@ -75,7 +75,7 @@ void try_binned_planes(std::span<const BuildReference> references, const SplitCo
 namespace {
 
 constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
-constexpr size_t exact_size = 128;      // below this, the binned builder tries every plane
+constexpr size_t exact_size = 32;       // below this, the binned builder tries every plane
 constexpr size_t collapse_size = 64;    // at most so many are kept to turn into a leaf again
 constexpr int patience = 3;             // splits in a row that do not pay
 
@@ -184,7 +184,8 @@ bool goes_above(const BuildReference& r, const SplitPlane& p) {
     return r.bounds.upper[p.axis] > p.position || (!p.planar_below && is_planar(r, p));
 }
 
-/// A subtree in the making; indices count from its own beginning.
+/// A subtree in the making, depth first: the child below a plane follows its node, child() is the
+/// one above. Indices count from the fragment's own beginning.
 struct Fragment {
     std::vector<KdNode> nodes;
     std::vector<uint32_t> references;
@@ -193,7 +194,7 @@ struct Fragment {
         const uint32_t node_base = uint32_t(nodes.size()), base = uint32_t(references.size());
         for (KdNode n : f.nodes) {
             if (!n.is_leaf())
-                n.set_above(n.above() + node_base);
+                n.set_child(n.child() + node_base);
             else if (n.count() > 1)
                 n.value += base;
             nodes.push_back(n);
@@ -273,11 +274,11 @@ class Builder {
             Fragment fragments[2];
             parallel_invoke([&] { child(0, fragments[0]); }, [&] { child(1, fragments[1]); });
             out.append(fragments[0]);
-            out.nodes[node].set_above(uint32_t(out.nodes.size()));
+            out.nodes[node].set_child(uint32_t(out.nodes.size()));
             out.append(fragments[1]);
         } else {
             child(0, out);
-            out.nodes[node].set_above(uint32_t(out.nodes.size()));
+            out.nodes[node].set_child(uint32_t(out.nodes.size()));
             child(1, out);
         }
         return options_.costs.node + cost.share(plane.axis, plane.position, 0) * costs[0] +
@@ -396,6 +397,68 @@ class Builder {
     int max_depth_;
 };
 
+/// Puts siblings side by side, and into one cache line the pairs that a ray is likeliest to visit
+/// one after the other: from the top of each part, the largest cell's children first.
+class PairLayout {
+  public:
+    explicit PairLayout(const std::vector<KdNode>& depth_first) : from_(depth_first) {}
+
+    std::vector<KdNode> run(const Bounds3& box) {
+        to_.reserve(from_.size() + 1);
+        to_.push_back(from_[0]);
+        to_.push_back(KdNode::leaf(0, 0));
+        std::vector<Open> open, line;
+        if (!from_[0].is_leaf()) open.push_back({0, 0, box, half_area(box)});
+        while (!open.empty()) {
+            line.push_back(open.back());
+            open.pop_back();
+            for (size_t room = pairs_a_line - to_.size() / 2 % pairs_a_line;
+                 room > 0 && !line.empty(); --room)
+                place_children(line);
+            // The likeliest of the rest is next, as near as can be.
+            std::sort(line.begin(), line.end(), less_likely);
+            open.insert(open.end(), line.begin(), line.end());
+            line.clear();
+        }
+        return std::move(to_);
+    }
+
+  private:
+    static constexpr size_t pairs_a_line = 64 / (2 * sizeof(KdNode));
+
+    /// An inner node that has its place, and its children not yet.
+    struct Open {
+        uint32_t from, to;
+        Bounds3 cell;
+        double area;
+    };
+    static bool less_likely(const Open& a, const Open& b) {
+        return a.area != b.area ? a.area < b.area : a.from > b.from;
+    }
+
+    /// Of the likeliest of `line`, which they replace.
+    void place_children(std::vector<Open>& line) {
+        const auto likeliest = std::max_element(line.begin(), line.end(), less_likely);
+        const Open parent = *likeliest;
+        line.erase(likeliest);
+        const KdNode node = from_[parent.from];
+        const uint32_t pair = uint32_t(to_.size());
+        to_[parent.to].set_child(pair);
+        for (uint32_t side = 0; side < 2; ++side) {
+            const uint32_t from = side == 0 ? parent.from + 1 : node.child();
+            to_.push_back(from_[from]);
+            if (from_[from].is_leaf()) continue;
+            Open child{from, pair + side, parent.cell, 0};
+            (side == 0 ? child.cell.upper : child.cell.lower)[node.axis()] = node.split();
+            child.area = half_area(child.cell);
+            line.push_back(child);
+        }
+    }
+
+    const std::vector<KdNode>& from_;
+    std::vector<KdNode> to_;
+};
+
 }  // namespace
 
 KdTreeData build_kd_tree(std::vector<BuildReference> references, const ClipShape& clip,
@@ -412,7 +475,7 @@ KdTreeData build_kd_tree(std::vector<BuildReference> references, const ClipShape
     Fragment all;
     tree.cost = Builder(clip, options, depth)
                     .build(std::move(work), tree.box, 0, 0, size_t(16 * n) + 1024, all);
-    tree.nodes = std::move(all.nodes);
+    tree.nodes = PairLayout(all.nodes).run(tree.box);
     tree.references = std::move(all.references);
     return tree;
 }

@@ -12,13 +12,13 @@
 
 namespace crofton {
 
-/// A node of a kd-tree; the child below the plane is the next node.
+/// A node of a kd-tree. Siblings stand side by side, so that one read brings both.
 ///
 ///   byte 0  the plane's position (float), or where a leaf's references begin, or, for a leaf with
-///   one
-///           reference, that reference
+///           one reference, that reference
 ///        4  bits 0–1: axis of the plane, 3 for a leaf
-///           bits 2–31: index of the child above the plane, or how many references
+///           bits 2–31: index of the child below the plane (the one above is the next), or how many
+///           references
 struct KdNode {
     uint32_t value;
     uint32_t bits;
@@ -30,9 +30,9 @@ struct KdNode {
     bool is_leaf() const { return (bits & 3) == 3; }
     uint32_t axis() const { return bits & 3; }
     float split() const { return std::bit_cast<float>(value); }
-    uint32_t above() const { return bits >> 2; }
+    uint32_t child() const { return bits >> 2; }
     uint32_t count() const { return bits >> 2; }
-    void set_above(uint32_t index) { bits = index << 2 | (bits & 3); }
+    void set_child(uint32_t index) { bits = index << 2 | (bits & 3); }
 };
 static_assert(sizeof(KdNode) == 8);
 
@@ -56,7 +56,7 @@ struct KdOptions {
 /// A finished kd-tree.
 struct KdTreeData {
     static constexpr int max_depth = 64;
-    std::vector<KdNode> nodes;         ///< depth first; empty: no shapes
+    std::vector<KdNode> nodes;         ///< the root and a spare, then pairs; empty: no shapes
     std::vector<uint32_t> references;  ///< ascending within a leaf
     Bounds3 box;
     double cost = 0;  ///< nominal ns of a line that meets the box, by areas

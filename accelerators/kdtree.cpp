@@ -13,7 +13,7 @@ namespace HWY_NAMESPACE {
 
 struct KdTreeTraversal {
     struct Entry {
-        const KdNode* node;
+        KdNode node;
         float t_enter, t_leave;
     };
 
@@ -42,6 +42,9 @@ struct KdTreeTraversal {
     /// Front to back with an explicit stack (Ericson & Havran's sequential traversal); where the
     /// thick ray meets a plane within the cell, both sides are visited, their intervals
     /// overlapping.
+    ///
+    /// Which of the three cases a plane is cannot be foretold, so a step down has no branch for it:
+    /// both children are read while the plane is met, and the next node is chosen by arithmetic.
     template <class Set, class C, class Leaf>
     static HWY_INLINE bool follow(const KdTree<Set>& tree, const LocalRay& ray, RayQuery& q,
                                   C& counters, const Leaf& test) {
@@ -49,35 +52,29 @@ struct KdTreeTraversal {
         const KdNode* nodes = tree.nodes.data();
         Entry stack[KdTree<Set>::max_depth];
         Entry* top = stack;
-        const KdNode* node = nodes;
+        KdNode node = nodes[0];
         float t_enter = thick.t_enter, t_leave = thick.t_leave;
         while (true) {
-            while (!node->is_leaf()) {
+            while (!node.is_leaf()) {
                 counters.step();
-                const ThickRay::Axis& axis = thick.axis[node->axis()];
-                const float enter_second = axis.enter(node->split());
-                const float leave_first = axis.leave(node->split());
-                // By arithmetic: a table of two would be written and read back at every step.
-                const uint32_t below = uint32_t(node - nodes) + 1;
-                const uint32_t swap = (below ^ node->above()) & (0u - axis.down);
-                const KdNode* first = nodes + (below ^ swap);
-                const KdNode* second = nodes + (node->above() ^ swap);
-                if (leave_first < t_enter) {
-                    node = second;
-                } else if (enter_second > t_leave) {
-                    node = first;
-                } else {
-                    *top++ = {second, std::max(t_enter, enter_second), t_leave};
-                    node = first;
-                    t_leave = std::min(t_leave, leave_first);
-                }
+                const ThickRay::Axis& axis = thick.axis[node.axis()];
+                const KdNode* pair = nodes + node.child();
+                const KdNode first = pair[axis.down], second = pair[axis.down ^ 1];
+                const float enter_second = axis.enter(node.split());
+                const float leave_first = axis.leave(node.split());
+                const bool skip_first = leave_first<t_enter, skip_second = enter_second> t_leave;
+                *top = {second, std::max(t_enter, enter_second), t_leave};
+                top += !(skip_first | skip_second);
+                node = select(skip_first, second, first);
+                // Where the second is skipped, leave_first is beyond t_leave, too.
+                t_leave = std::min(t_leave, unless(skip_first, leave_first));
             }
             counters.step();
-            const uint32_t count = node->count();
+            const uint32_t count = node.count();
             counters.cell(count == 0);
             if (count > 0) {
                 const uint32_t* references =
-                    count == 1 ? &node->value : tree.references.data() + node->value;
+                    count == 1 ? &node.value : tree.references.data() + node.value;
                 if (test(references, count)) return true;
             }
             // Overlapping intervals do not begin in strict order, so each is looked at.
@@ -89,6 +86,17 @@ struct KdTreeTraversal {
             t_enter = top->t_enter;
             t_leave = std::min(top->t_leave, q.t_cull);
         }
+    }
+    /// By a conditional move: the compiler is told that either is as likely.
+    static HWY_INLINE KdNode select(bool condition, KdNode yes, KdNode no) {
+        const uint64_t y = std::bit_cast<uint64_t>(yes), n = std::bit_cast<uint64_t>(no);
+        return std::bit_cast<KdNode>(__builtin_expect_with_probability(condition, 1, 0.5) ? y : n);
+    }
+    /// @return t, or infinity if `condition`
+    static HWY_INLINE float unless(bool condition, float t) {
+        constexpr uint32_t infinity = 0x7f800000;
+        const uint32_t mask = 0u - condition;
+        return std::bit_cast<float>((std::bit_cast<uint32_t>(t) & ~mask) | (infinity & mask));
     }
 };
 
@@ -151,7 +159,7 @@ void KdTree<Set>::walk(const BoxVisitor& visit) const {
         const KdNode& n = nodes[o.node];
         visit(o.cell, o.depth, n.is_leaf(), n.is_leaf() ? n.count() : 0);
         if (n.is_leaf()) continue;
-        Open below{o.node + 1, o.depth + 1, o.cell}, above{n.above(), o.depth + 1, o.cell};
+        Open below{n.child(), o.depth + 1, o.cell}, above{n.child() + 1, o.depth + 1, o.cell};
         below.cell.upper[n.axis()] = above.cell.lower[n.axis()] = n.split();
         open.push_back(above);
         open.push_back(below);

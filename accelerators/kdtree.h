@@ -38,7 +38,7 @@ struct KdTree {
     static constexpr bool reads_set = true;
     static constexpr int max_depth = KdTreeData::max_depth;
 
-    AlignedVector<KdNode> nodes;  ///< depth first, the root first; empty: no shapes
+    AlignedVector<KdNode> nodes;  ///< as KdTreeData has them; empty: no shapes
     AlignedVector<uint32_t> references;
     Bounds3 box;
     float magnitude = 0;  ///< of the box

@@ -22,29 +22,36 @@ class OctantIntervals {
     static constexpr uint32_t children = 8;
     float enter[children], leave[children];
 
-    OctantIntervals() {
+    explicit OctantIntervals(const ThickRay& ray) {
         const D d;
         alignas(16) constexpr float bit_0[4] = {0, 1, 0, 1}, bit_1[4] = {0, 0, 1, 1};
         x_ = hn::Gt(hn::Load(d, bit_0), hn::Zero(d));
         y_ = hn::Gt(hn::Load(d, bit_1), hn::Zero(d));
+        const auto lanes = [&](float ThickRay::Axis::*member) HWY_ATTR {
+            alignas(16) const float v[4] = {ray.axis[0].*member, ray.axis[1].*member,
+                                            ray.axis[2].*member, 0};
+            return hn::Load(d, v);
+        };
+        near_origin_ = lanes(&ThickRay::Axis::near_origin);
+        far_origin_ = lanes(&ThickRay::Axis::far_origin);
+        rcp_ = lanes(&ThickRay::Axis::rcp);
     }
     /// @return bit k: child k has an interval
-    HWY_INLINE uint32_t set(const ThickRay& ray, const OctreeNode& node, float t_enter,
-                            float t_leave) {
+    HWY_INLINE uint32_t set(const OctreeNode& node, float t_enter, float t_leave) {
         const D d;
-        float in[3], out[3];
-        for (int a = 0; a < 3; ++a) {
-            in[a] = ray.axis[a].enter(node.plane[a]);
-            out[a] = ray.axis[a].leave(node.plane[a]);
-        }
+        // ThickRay::Axis::enter and leave of the three planes; the fourth lane means nothing.
+        const auto planes = hn::LoadU(d, node.plane);
+        const auto in = hn::Mul(hn::Sub(planes, near_origin_), rcp_);
+        const auto out = hn::Mul(hn::Sub(planes, far_origin_), rcp_);
         const auto begin = hn::Set(d, t_enter), end = hn::Set(d, t_leave);
         const auto enter_low =
-            hn::Max(begin, hn::Max(hn::IfThenElse(x_, hn::Set(d, in[0]), begin),
-                                   hn::IfThenElse(y_, hn::Set(d, in[1]), begin)));
-        const auto enter_high = hn::Max(enter_low, hn::Set(d, in[2]));
-        const auto leave_high = hn::Min(end, hn::Min(hn::IfThenElse(x_, end, hn::Set(d, out[0])),
-                                                     hn::IfThenElse(y_, end, hn::Set(d, out[1]))));
-        const auto leave_low = hn::Min(leave_high, hn::Set(d, out[2]));
+            hn::Max(begin, hn::Max(hn::IfThenElse(x_, hn::Broadcast<0>(in), begin),
+                                   hn::IfThenElse(y_, hn::Broadcast<1>(in), begin)));
+        const auto enter_high = hn::Max(enter_low, hn::Broadcast<2>(in));
+        const auto leave_high =
+            hn::Min(end, hn::Min(hn::IfThenElse(x_, end, hn::Broadcast<0>(out)),
+                                 hn::IfThenElse(y_, end, hn::Broadcast<1>(out))));
+        const auto leave_low = hn::Min(leave_high, hn::Broadcast<2>(out));
         hn::StoreU(enter_low, d, enter);
         hn::StoreU(enter_high, d, enter + 4);
         hn::StoreU(leave_low, d, leave);
@@ -58,6 +65,7 @@ class OctantIntervals {
   private:
     using D = hn::FixedTag<float, 4>;
     hn::Mask<D> x_, y_;
+    hn::Vec<D> near_origin_, far_origin_, rcp_;
 };
 
 struct OctreeTraversal {
@@ -97,7 +105,7 @@ struct OctreeTraversal {
         const ThickRay thick(tree.box, tree.magnitude, ray, q);
         const uint32_t flip =
             thick.axis[0].down | thick.axis[1].down << 1 | thick.axis[2].down << 2;
-        OctantIntervals octants;
+        OctantIntervals octants(thick);
         Entry stack[7 * Octree<Set>::max_depth + 8];
         Entry* top = stack;
         Entry now{0, thick.t_enter, thick.t_leave};
@@ -109,16 +117,23 @@ struct OctreeTraversal {
                 counters.cell(false);
                 if (test(tree.references.data() + node.first, node.count())) return true;
             } else {
-                // The last one first, so that the first one is on top.
-                uint32_t open = octants.set(thick, node, now.t_enter, now.t_leave);
-                while (open) {
+                uint32_t open = octants.set(node, now.t_enter, now.t_leave);
+                const uint32_t filled = in_ray_order(node.children, flip);
+                if (!counting) open &= filled;
+                const auto child = [&](uint32_t k) {
+                    const bool empty = counting && !(filled >> k & 1);
+                    return Entry{empty ? no_node : node.child(k ^ flip), octants.enter[k],
+                                 octants.leave[k]};
+                };
+                // The last one first; the first one is next at once.
+                while (open & (open - 1)) {
                     const uint32_t k = 31 - uint32_t(std::countl_zero(open));
                     open ^= 1u << k;
-                    const uint32_t child = k ^ flip;
-                    const bool filled = node.children >> child & 1;
-                    if (filled || counting)
-                        *top++ = {filled ? node.child(child) : no_node, octants.enter[k],
-                                  octants.leave[k]};
+                    *top++ = child(k);
+                }
+                if (open) {
+                    now = child(uint32_t(std::countr_zero(open)));
+                    continue;
                 }
             }
             // Overlapping intervals do not begin in strict order, so each is looked at.
@@ -128,6 +143,14 @@ struct OctreeTraversal {
             } while (now.t_enter > q.t_cull);
             now.t_leave = std::min(now.t_leave, q.t_cull);
         }
+    }
+    /// The mask of a node's children, renumbered from the ray's point of view: bit k is child
+    /// k ^ flip. The same three choices for all of a ray's nodes.
+    static HWY_INLINE uint32_t in_ray_order(uint32_t children, uint32_t flip) {
+        if (flip & 1) children = (children & 0x55) << 1 | (children & 0xaa) >> 1;
+        if (flip & 2) children = (children & 0x33) << 2 | (children & 0xcc) >> 2;
+        if (flip & 4) children = (children & 0x0f) << 4 | (children & 0xf0) >> 4;
+        return children;
     }
 };
 

@@ -15,7 +15,7 @@ enum class OctreePlanes {
 };
 
 struct OctreeParameters {
-    OctreePlanes planes = OctreePlanes::center;
+    OctreePlanes planes = OctreePlanes::sah;
     int max_depth = 0;
     int max_leaf_size = 4;
     int bins = 32;
