@@ -42,8 +42,11 @@ struct TreeCosts {
     double node = 3.0;   ///< testing both children
     int leaf_width = 1;  ///< shapes tested at once; 1: a leaf costs the sum of its shapes' costs
     double leaf_block = 0.0;  ///< of leaf_width shapes at once
+    double leaf_shape = 0.0;  ///< and of each of them, before that: fetching it
     double leaf(double sum, uint32_t count) const {
-        return leaf_width > 1 ? leaf_block * ((count + leaf_width - 1) / leaf_width) : sum;
+        return leaf_width > 1
+                   ? leaf_block * ((count + leaf_width - 1) / leaf_width) + leaf_shape * count
+                   : sum;
     }
 };
 

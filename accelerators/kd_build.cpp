@@ -294,8 +294,9 @@ class Builder {
             options_.builder == KdBuilder::object_median)
             return median(work, cell, cost);
         if (binned && work.size() > exact_size) {
-            for (int a = 0; a < 3; ++a)
-                try_binned_planes(work.references, cost, a, options_.bins, best);
+            // More bins than shapes would find no better planes.
+            const int bins = int(std::min(size_t(options_.bins), work.size()));
+            for (int a = 0; a < 3; ++a) try_binned_planes(work.references, cost, a, bins, best);
             return best;
         }
         if (!work.exact) make_exact(work);

@@ -43,8 +43,9 @@ struct KdTreeTraversal {
     /// thick ray meets a plane within the cell, both sides are visited, their intervals
     /// overlapping.
     ///
-    /// Which of the three cases a plane is cannot be foretold, so a step down has no branch for it:
-    /// both children are read while the plane is met, and the next node is chosen by arithmetic.
+    /// Of a plane's three cases only one has a branch, to the second side alone: else the first
+    /// side is next, whatever becomes of the second, and its node can load before the test is
+    /// through.
     template <class Set, class C, class Leaf>
     static HWY_INLINE bool follow(const KdTree<Set>& tree, const LocalRay& ray, RayQuery& q,
                                   C& counters, const Leaf& test) {
@@ -59,15 +60,16 @@ struct KdTreeTraversal {
                 counters.step();
                 const ThickRay::Axis& axis = thick.axis[node.axis()];
                 const KdNode* pair = nodes + node.child();
-                const KdNode first = pair[axis.down], second = pair[axis.down ^ 1];
                 const float enter_second = axis.enter(node.split());
                 const float leave_first = axis.leave(node.split());
-                const bool skip_first = leave_first<t_enter, skip_second = enter_second> t_leave;
-                *top = {second, std::max(t_enter, enter_second), t_leave};
-                top += !(skip_first | skip_second);
-                node = select(skip_first, second, first);
-                // Where the second is skipped, leave_first is beyond t_leave, too.
-                t_leave = std::min(t_leave, unless(skip_first, leave_first));
+                if (leave_first < t_enter) {
+                    node = pair[axis.down ^ 1];
+                    continue;
+                }
+                *top = {pair[axis.down ^ 1], std::max(t_enter, enter_second), t_leave};
+                top += !(enter_second > t_leave);
+                node = pair[axis.down];
+                t_leave = std::min(t_leave, leave_first);
             }
             counters.step();
             const uint32_t count = node.count();
@@ -86,17 +88,6 @@ struct KdTreeTraversal {
             t_enter = top->t_enter;
             t_leave = std::min(top->t_leave, q.t_cull);
         }
-    }
-    /// By a conditional move: the compiler is told that either is as likely.
-    static HWY_INLINE KdNode select(bool condition, KdNode yes, KdNode no) {
-        const uint64_t y = std::bit_cast<uint64_t>(yes), n = std::bit_cast<uint64_t>(no);
-        return std::bit_cast<KdNode>(__builtin_expect_with_probability(condition, 1, 0.5) ? y : n);
-    }
-    /// @return t, or infinity if `condition`
-    static HWY_INLINE float unless(bool condition, float t) {
-        constexpr uint32_t infinity = 0x7f800000;
-        const uint32_t mask = 0u - condition;
-        return std::bit_cast<float>((std::bit_cast<uint32_t>(t) & ~mask) | (infinity & mask));
     }
 };
 

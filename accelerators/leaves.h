@@ -27,13 +27,12 @@ TreeCosts tree_costs(double node) {
     return costs;
 }
 
-/// The same where leaves are lists of references: triangles are gathered by fours before their
-/// test.
+/// The same where leaves are lists of references: each triangle is gathered before its test.
 template <class Set>
 TreeCosts reference_costs(double node) {
     TreeCosts costs = tree_costs<Set>(node);
     if constexpr (std::is_same_v<Set, TriangleSet>)
-        costs.leaf_block += cost_constants.triangle_gather;
+        costs.leaf_shape = cost_constants.triangle_gather;
     return costs;
 }
 

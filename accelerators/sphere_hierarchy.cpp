@@ -252,7 +252,7 @@ class SphereWriter {
             const Open o = open.back();
             open.pop_back();
             ++h_.stats.N_IN;
-            h_.cost += probability(o.sphere) * cost_constants.sphere_node;
+            h_.cost += probability(o.sphere) * cost_constants.four_spheres_node;
             const std::vector<uint32_t> children = open_children(o.from);
             SphereNode node{};
             node.child = uint32_t(h_.nodes.size());
@@ -419,7 +419,7 @@ SphereHierarchy<Set> SphereHierarchy<Set>::build(const Set& set,
     h.pixel_angle = p.pixel_angle > 0 ? p.pixel_angle : 2 * 0.41421356237 / 512;
     h.pixel_width = p.pixel_width;
     // A node of four replaces three binary ones.
-    const TreeCosts costs = reference_costs<Set>(cost_constants.sphere_node / 3);
+    const TreeCosts costs = reference_costs<Set>(cost_constants.four_spheres_node / 3);
     std::vector<BuildReference> shapes = build_references(set);
     std::vector<float> shape_costs(set.size());
     for (const BuildReference& r : shapes) shape_costs[r.shape] = r.cost;
