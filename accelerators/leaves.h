@@ -32,7 +32,7 @@ template <class Set>
 TreeCosts reference_costs(double node) {
     TreeCosts costs = tree_costs<Set>(node);
     if constexpr (std::is_same_v<Set, TriangleSet>)
-        costs.leaf_shape = cost_constants.triangle_gather;
+        costs.leaf_shape = cost_constants.triangle_fetch;
     return costs;
 }
 

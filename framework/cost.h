@@ -14,7 +14,8 @@ struct CostConstants {
     double plane = 2.5;              ///< a step down a tree of planes
     double general_plane = 4.0;      ///< the same where the plane has any direction
     double octree_node = 5.0;        ///< three planes, eight children
-    double triangle_gather = 2.5;    ///< a triangle by reference, before its test
+    double triangle_gather = 5.0;    ///< four triangles by reference, before their test
+    double triangle_fetch = 2.5;     ///< one of them in the leaf of a tree, cache misses included
     double cell = 3.5;               ///< a step to the next grid cell
     double triangle_block = 5.0;     ///< four triangles at once
     double sphere = 6.0;
