@@ -58,12 +58,8 @@ void add_balls(const QuadricSet& set, uint32_t i, std::vector<Ball>& balls) {
 }
 
 void add_balls(const PolygonSet& set, uint32_t i, std::vector<Ball>& balls) {
-    for (uint32_t k = 0; k < set.corners(i); ++k) {
-        const Vec3f& c = set.corner(i, k);
-        // Corners may stand off the plane that is hit by their own rounding: see
-        // PolygonSet::bounds.
-        balls.push_back({c, c.cwiseAbs().maxCoeff() * 0x1p-19f});
-    }
+    // Corners may stand off the plane that is hit by their own rounding: see PolygonSet::bounds.
+    for (const Vec3f& c : set.corners(i)) balls.push_back({c, c.cwiseAbs().maxCoeff() * 0x1p-19f});
 }
 
 void add_balls(const ObjectSet& set, uint32_t i, std::vector<Ball>& balls) {

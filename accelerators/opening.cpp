@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "accelerators/binary_tree.h"
+#include "accelerators/tree_build.h"
 #include "framework/parallel.h"
 
 namespace crofton {

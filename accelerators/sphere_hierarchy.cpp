@@ -230,11 +230,11 @@ template <class Set>
 class SphereWriter {
   public:
     SphereWriter(SphereHierarchy<Set>& h, const BinaryTree& tree, const Set& set,
-                 const TreeCosts& costs, const std::vector<float>& shape_costs)
+                 const TreeCosts& costs, std::vector<float> shape_costs)
         : h_(h),
           tree_(tree),
           costs_(costs),
-          shape_costs_(shape_costs),
+          shape_costs_(std::move(shape_costs)),
           spheres_(tree.nodes.size()) {
         enclose(set);
         collapse();
@@ -377,7 +377,7 @@ class SphereWriter {
         for (uint32_t i = 0; i < leaf.count; ++i) {
             const uint32_t shape = tree_.order[leaf.first + i];
             h_.references.push_back(shape);
-            sum += shape_costs_[shape];
+            if (!shape_costs_.empty()) sum += shape_costs_[shape];
         }
         h_.cost += probability(sphere) * costs_.leaf(sum, leaf.count);
         ++h_.stats.N_V;
@@ -402,7 +402,7 @@ class SphereWriter {
     SphereHierarchy<Set>& h_;
     const BinaryTree& tree_;
     TreeCosts costs_;
-    const std::vector<float>& shape_costs_;
+    std::vector<float> shape_costs_;
     std::vector<EnclosingSphere> spheres_;  ///< of the binary nodes
     std::vector<uint32_t> order_;           ///< binary nodes, parents first
     std::vector<Plan> plans_;               ///< of the binary nodes
@@ -420,14 +420,11 @@ SphereHierarchy<Set> SphereHierarchy<Set>::build(const Set& set,
     h.pixel_width = p.pixel_width;
     // A node of four replaces three binary ones.
     const TreeCosts costs = reference_costs<Set>(cost_constants.four_spheres_node / 3);
-    std::vector<BuildReference> shapes = build_references(set);
-    std::vector<float> shape_costs(set.size());
-    for (const BuildReference& r : shapes) shape_costs[r.shape] = r.cost;
-    const BinaryTree tree = build_binned(std::move(shapes), costs, p.bins, p.max_leaf_size);
+    const BinaryTree tree = build_tree(set, p, costs);
     if (tree.empty()) return h;
     h.box = tree.nodes[0].bounds;
     h.magnitude = h.box.magnitude();
-    SphereWriter<Set>(h, tree, set, costs, shape_costs).write();
+    SphereWriter<Set>(h, tree, set, costs, shape_costs(set, costs)).write();
     h.nodes.shrink_to_fit();
     h.references.shrink_to_fit();
     h.stats.bytes = h.nodes.size() * sizeof(SphereNode) + h.references.size() * sizeof(uint32_t);

@@ -1,23 +1,21 @@
 #pragma once
 
+#include "accelerators/tree_build.h"
 #include "framework/aligned.h"
 #include "framework/object_set.h"
 #include "framework/primitive.h"
 
 namespace crofton {
 
-struct SphereHierarchyParameters {
-    int max_leaf_size = 4;
-    int bins = 16;
+struct SphereHierarchyParameters : TreeParameters {
+    SphereHierarchyParameters() { max_leaf_size = 4; }
     double lod = 0;
     double pixel_angle = 0;
     double pixel_width = 0;
 
     template <class V>
     void fields(V& v) {
-        v.integer("max_leaf_size", max_leaf_size, 1, 64,
-                  "shapes in a leaf at most; fewer where the area heuristic says so");
-        v.integer("bins", bins, 2, 64, "candidate planes per axis and node, plus one");
+        TreeParameters::fields(v, 64);
         v.real("lod", lod, 0, 64,
                "end a ray at a sphere no wider than so many footprints; 0: at the exact shape");
         v.real("pixel_angle", pixel_angle, 0, 1,
@@ -70,7 +68,7 @@ template <class Set>
 struct SphereHierarchy {
     static constexpr const char* name = "sphere_hierarchy";
     static constexpr bool reads_set = true;
-    static constexpr int max_depth = 72;  ///< of any tree that build_binned makes
+    static constexpr int max_depth = BinaryTree::max_depth;
     /// An object is not replaced by a sphere of its parent's: its own hierarchy stands for it.
     static constexpr bool has_lod = !std::is_same_v<Set, ObjectSet>;
 

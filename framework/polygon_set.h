@@ -27,8 +27,6 @@ class PolygonSet {
 
     uint32_t size() const { return uint32_t(first_.size() - 1); }
     bool active(uint32_t i) const { return !normals_[i].isZero(0); }
-    uint32_t corners(uint32_t i) const { return first_[i + 1] - first_[i]; }
-    const Vec3f& corner(uint32_t i, uint32_t k) const { return corners_[first_[i] + k]; }
     Bounds3 bounds(uint32_t i) const;
     Bounds3 clipped_bounds(uint32_t i, const Bounds3& box) const {
         return intersection(bounds(i), box);
