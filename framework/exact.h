@@ -53,7 +53,7 @@ const char* to_string(Judgement::Kind kind);
 /// the exact product of the chain. The library maps them by that product rounded (FloatTransform),
 /// so that its answers may differ within a margin that accounts for the rounding; to have the
 /// truth about the corners *as the library places them*, give it those: mapped by `apply`, with an
-/// empty chain (Placement::as_placed of scenegraph/exact_scene.h does).
+/// empty chain (PlacementTruth::as_placed of scenegraph/exact_scene.h does).
 ///
 /// A triangle or polygon is hit from both sides, its edges and corners included; a ray in its plane
 /// misses it. For quadrics see exact_quadric.h. t_min and t_max are included. Rays that the library

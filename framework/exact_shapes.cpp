@@ -104,8 +104,9 @@ void Placed::point(const Vec3f& p, double (&center)[3], double& radius, double& 
         }
         center[i] = x.lo / 2 + x.hi / 2;
         radius = std::max(radius, Interval::up(x.hi - x.lo));
-        // The product of the chain is rounded in double: a share of each map's own size.
-        size = std::max(size, reach * (1 + 0x1p-26 * maps));
+        // The product of the chain is rounded in double, a share of each map's own size; and a
+        // little for terms of second order.
+        size = std::max(size, reach * (1 + 0x1p-20 * maps));
     }
 }
 

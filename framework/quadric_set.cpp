@@ -1,5 +1,6 @@
 #include "framework/quadric_set.h"
 
+#include <Eigen/Geometry>
 #include <cmath>
 
 #include "framework/cost.h"
@@ -23,13 +24,13 @@ bool in_range(double t, const RayQuery& query, float& result) {
 }
 
 /// Roots of a·t² + 2·b·t + c, ascending, without cancellation (Press et al. 2007, 5.6).
-int half_quadratic(double a, double b, double c, double (&roots)[2]) {
+/// @param discriminant  b² - a·c
+int half_quadratic(double a, double b, double c, double discriminant, double (&roots)[2]) {
     if (a == 0) {
         if (b == 0) return 0;
         roots[0] = -c / (2 * b);
         return 1;
     }
-    const double discriminant = b * b - a * c;
     if (!(discriminant >= 0)) return 0;
     const double q = -(b + std::copysign(std::sqrt(discriminant), b));
     roots[0] = q / a;
@@ -65,13 +66,17 @@ bool intersect_cone(const QuadricShape& s, const DoubleRay& ray, const RayQuery&
     Vec3d f = ray.o - base;
     const double t0 = -f.dot(ray.d) / dd;
     f += t0 * ray.d;
-    // |x|² - y² = (r0 + k·y)², y the height above the base.
-    const double da = ray.d.dot(axis), fa = f.dot(axis), slope = 1 + k * k;
-    const double a = dd - slope * da * da;
-    const double b = f.dot(ray.d) - slope * fa * da - r0 * k * da;
-    const double c = f.squaredNorm() - slope * fa * fa - 2 * r0 * k * fa - r0 * r0;
+    // Across the axis, x + t·dx from it, where the radius is r + t·dr: |x + t·dx|² = (r + t·dr)².
+    // The discriminant by Lagrange's identity, as a difference of squares of what is small near the
+    // surface: a point near an apex has few digits to lose.
+    const double da = ray.d.dot(axis), fa = f.dot(axis);
+    const Vec3d x = f - fa * axis, dx = ray.d - da * axis;
+    const double r = r0 + k * fa, dr = k * da;
+    const double a = dx.squaredNorm() - dr * dr, b = x.dot(dx) - r * dr,
+                 c = x.squaredNorm() - r * r;
+    const double discriminant = (r * dx - dr * x).squaredNorm() - x.cross(dx).squaredNorm();
     double roots[2];
-    const int n = half_quadratic(std::abs(a) < 1e-15 * dd ? 0 : a, b, c, roots);
+    const int n = half_quadratic(std::abs(a) < 1e-15 * dd ? 0 : a, b, c, discriminant, roots);
     for (int i = 0; i < n; ++i) {
         const double y = fa + roots[i] * da;
         // The other nappe of a full cone has a negative radius and lies beyond its apex.

@@ -668,6 +668,15 @@ TEST_CASE(
     CHECK(same_bits > hits / 2);
 }
 
+TEST_CASE("exact: a closed ball is crossed once from its inside, twice from outside") {
+    const Oracle oracle = oracle_of({ball(1)});
+    CHECK(oracle.sure_crossings({{0.01f, 0.02f, 0.03f}, 0, {0.3f, 0.5f, -0.7f}}) == 1);
+    CHECK(oracle.sure_crossings({{-3, 0.02f, 0.03f}, 0, {1, 0.01f, 0.02f}}) == 2);
+    CHECK(oracle.sure_crossings({{-3, 2, 0}, 0, {1, 0.01f, 0.02f}}) == 0);
+    const Vec3f corner = ball(1).p[0];
+    CHECK(!oracle.sure_crossings({{0, 0, 0}, 0, corner}).has_value());
+}
+
 TEST_CASE("exact: wrong answers are told apart, and from those within the margin") {
     PlainMesh two;
     two.p = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, -1}, {1, 0, -1}, {0, 1, -1}};

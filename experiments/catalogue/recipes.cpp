@@ -305,68 +305,85 @@ std::array<Vec3d, 3> quadric_points(const QuadricShape& s, int variant) {
     return {rim, p + double(s.p_radius) * axis, p};
 }
 
+/// Calls visit(a, b, c) with three points of each shape, object space: corners of triangles and
+/// polygons, ends and rims of quadrics.
+template <class Visit>
+void visit_shapes(const TriangleMesh& mesh, const Visit& visit) {
+    for (const auto& t : mesh.triangles)
+        visit(mesh.positions[t[0]], mesh.positions[t[1]], mesh.positions[t[2]]);
+}
+template <class Visit>
+void visit_shapes(const Quadrics& quadrics, const Visit& visit) {
+    for (const Quadric& q : quadrics.shapes)
+        for (int k = 0; k < 4; ++k) {
+            const auto p = quadric_points(quadric_shape(q), k);
+            visit(float_of(p[0]), float_of(p[1]), float_of(p[2]));
+        }
+}
+template <class Visit>
+void visit_shapes(const Polygons& polygons, const Visit& visit) {
+    for (uint32_t i = 0; i < polygons.size(); ++i) {
+        const uint32_t begin = polygons.first[i], n = polygons.first[i + 1] - begin;
+        for (uint32_t k = 0; k < n; ++k)
+            visit(polygons.positions[begin + k], polygons.positions[begin + (k + 1) % n],
+                  polygons.positions[begin + (k + 2) % n]);
+    }
+}
+template <class Visit>
+void visit_shapes(const Points&, const Visit&) {}
+
+/// Calls visit(geometry, placement) for all that are placed and active.
+template <class Visit>
+void visit_placed(const Scene& scene, const Visit& visit) {
+    for (const MeshInstance& m : mesh_instances(scene)) {
+        const Transform& t = m.world_from_object;
+        if (!t.is_identity() && !Instance::is_valid(t)) continue;
+        for (uint32_t g : scene.meshes[m.mesh].geometries) visit(g, t);
+    }
+}
+
+size_t count_shapes(const Scene& scene) {
+    size_t total = 0;
+    visit_placed(scene, [&](uint32_t g, const Transform&) {
+        const auto count = [&](const Vec3f&, const Vec3f&, const Vec3f&) { ++total; };
+        std::visit([&](const auto& shapes) { visit_shapes(shapes, count); },
+                   scene.geometries[g].shapes);
+    });
+    return total;
+}
+
+/// Whether there are only closed meshes.
+bool is_closed(const Scene& scene) {
+    std::vector<bool> seen(scene.geometries.size(), false);
+    bool closed = true;
+    visit_placed(scene, [&](uint32_t g, const Transform&) {
+        if (seen[g] || !closed) return;
+        seen[g] = true;
+        const auto* mesh = std::get_if<TriangleMesh>(&scene.geometries[g].shapes);
+        closed = mesh && is_closed(*mesh);
+    });
+    return closed;
+}
+
 }  // namespace
 
-AimPoints::AimPoints(const Scene& scene, size_t limit) {
-    std::vector<bool> mesh_closed;
-    closed = true;
-    const std::vector<MeshInstance> placed = mesh_instances(scene);
-    size_t total = 0;
-    const auto count = [](const Geometry& g) -> size_t {
-        if (const auto* t = std::get_if<TriangleMesh>(&g.shapes)) return t->triangles.size();
-        if (const auto* q = std::get_if<Quadrics>(&g.shapes)) return q->shapes.size();
-        if (const auto* p = std::get_if<Polygons>(&g.shapes)) return p->size();
-        return 0;
-    };
-    std::vector<int> closed_state(scene.geometries.size(), -1);
-    for (const MeshInstance& m : placed)
-        for (uint32_t g : scene.meshes[m.mesh].geometries) total += count(scene.geometries[g]);
-    const size_t step = total / limit + 1;
+AimPoints::AimPoints(const Scene& scene, size_t limit) : closed(is_closed(scene)) {
+    const size_t step = count_shapes(scene) / limit + 1;
     size_t index = 0;
-    for (const MeshInstance& m : placed) {
-        if (!m.world_from_object.is_identity() && !Instance::is_valid(m.world_from_object))
-            continue;
-        const FloatTransform map = rounded(m.world_from_object);
-        const auto add_shape = [&](const std::array<Vec3f, 3>& object) {
-            std::array<uint32_t, 3> t;
-            for (int k = 0; k < 3; ++k) {
-                const Vec3f p =
-                    m.world_from_object.is_identity() ? object[k] : apply(map, object[k]);
-                if (!p.allFinite()) return;
-                t[k] = uint32_t(corners.size());
-                corners.push_back(p);
-            }
-            triangles.push_back(t);
+    visit_placed(scene, [&](uint32_t g, const Transform& t) {
+        const FloatTransform map = rounded(t);
+        const auto add = [&](const Vec3f& a, const Vec3f& b, const Vec3f& c) {
+            if (index++ % step != 0) return;
+            std::array<Vec3f, 3> p{a, b, c};
+            for (Vec3f& q : p) q = t.is_identity() ? q : apply(map, q);
+            if (!p[0].allFinite() || !p[1].allFinite() || !p[2].allFinite()) return;
+            const uint32_t first = uint32_t(corners.size());
+            corners.insert(corners.end(), p.begin(), p.end());
+            triangles.push_back({first, first + 1, first + 2});
         };
-        for (uint32_t g : scene.meshes[m.mesh].geometries) {
-            const auto& shapes = scene.geometries[g].shapes;
-            if (const auto* mesh = std::get_if<TriangleMesh>(&shapes)) {
-                if (closed_state[g] < 0) closed_state[g] = is_closed(*mesh);
-                closed = closed && closed_state[g] == 1;
-                for (const auto& t : mesh->triangles)
-                    if (index++ % step == 0)
-                        add_shape(
-                            {mesh->positions[t[0]], mesh->positions[t[1]], mesh->positions[t[2]]});
-            } else if (const auto* quadrics = std::get_if<Quadrics>(&shapes)) {
-                closed = false;
-                for (const Quadric& q : quadrics->shapes)
-                    for (int k = 0; k < 4 && index++ % step == 0; ++k) {
-                        const auto p = quadric_points(quadric_shape(q), k);
-                        add_shape({float_of(p[0]), float_of(p[1]), float_of(p[2])});
-                    }
-            } else if (const auto* polygons = std::get_if<Polygons>(&shapes)) {
-                closed = false;
-                for (uint32_t i = 0; i < polygons->size(); ++i) {
-                    const uint32_t begin = polygons->first[i], n = polygons->first[i + 1] - begin;
-                    for (uint32_t k = 0; k < n; ++k)
-                        if (index++ % step == 0)
-                            add_shape({polygons->positions[begin + k],
-                                       polygons->positions[begin + (k + 1) % n],
-                                       polygons->positions[begin + (k + 2) % n]});
-                }
-            }
-        }
-    }
+        std::visit([&](const auto& shapes) { visit_shapes(shapes, add); },
+                   scene.geometries[g].shapes);
+    });
     for (const Vec3f& p : corners) bounds.extend(p);
     if (corners.empty()) {
         closed = false;
