@@ -161,7 +161,7 @@ TEST_CASE("objects that do not overlap are left alone, and parts keep the order"
     CHECK(open_overlapping(placed(object, mesh, maps).objects, 100).objects.size() == 20);
 
     // Two of them meet.
-    maps[7] = translation({3.0 * 8 + 1, 0.5, 0});
+    maps[7] = translation({3.0 * 8 + 0.5, 0.5, 0});
     const OpenedObjects opened = open_overlapping(placed(object, mesh, maps).objects, 2);
     CHECK(opened.opened == 2);
     CHECK(opened.objects.size() > 22);
