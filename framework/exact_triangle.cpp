@@ -40,9 +40,8 @@ Triple<Interval> Corners::world(uint32_t corner) const {
 /// Error bound. X = fl(v.x - o.x) and Z alike are wrong by u relatively and the radius e of v,
 /// sx = fl(d.x/d.z) by u; fl(sx·Z) by 3u in all, and the difference by u|x|, |x| <= |X| + |Z|:
 /// together 2u|X| + 4u|Z| + 2e, to first order, below 8u·max(|X|, |Y|, |Z|) + 2e(1 + 8u).
-Corners::Sheared Corners::shear(const DoubleRay& ray, uint32_t corner, double bound,
-                                double size_bound) const {
-    const World w = at(corner);
+Corners::Sheared Corners::shear(const DoubleRay& ray, const World& w, double bound,
+                                double size_bound) {
     const double X = w.p[ray.kx] - ray.o[ray.kx], Y = w.p[ray.ky] - ray.o[ray.ky],
                  Z = w.p[ray.kz] - ray.o[ray.kz];
     const double reach = std::max(std::max(std::abs(X), std::abs(Y)), std::abs(Z));
@@ -53,8 +52,8 @@ Corners::Sheared Corners::shear(const DoubleRay& ray, uint32_t corner, double bo
             (2 * unit * std::abs(Z) + w.radius + size_bound * w.size) * bound_roundings};
 }
 
-Triple<Dyadic> Corners::shear(const ExactRay& ray, uint32_t corner) const {
-    const Triple<Dyadic> v = exact_world(corner) - ray.o;
+Triple<Dyadic> Corners::shear(const ExactRay& ray, const Triple<Dyadic>& corner) {
+    const Triple<Dyadic> v = corner - ray.o;
     const Dyadic &dz = ray.d[ray.kz], &z = v[ray.kz];
     return {{v[ray.kx] * dz - ray.d[ray.kx] * z, v[ray.ky] * dz - ray.d[ray.ky] * z, z}};
 }
@@ -75,15 +74,14 @@ Box Triangles::bounds(uint32_t i) const {
     return box;
 }
 
+namespace {
+
 /// With corners known to within r, the edge function w = x1·y2 - x2·y1 is wrong by at most
 /// r1(|x2| + |y2|) + r2(|x1| + |y1|) + 2·r1·r2 through them and 2u(|x1·y2| + |x2·y1|) by its own
 /// roundings. The weighted depth t = z0 + (w1·(z1 - z0) + w2·(z2 - z0))/(w0 + w1 + w2) follows by
 /// the rules for sums, products and quotients of numbers with known errors.
-void Triangles::candidates(const DoubleRay& ray, uint32_t i, double scale, Candidates& out) const {
-    Corners::Sheared c[3];
-    for (int k = 0; k < 3; ++k)
-        c[k] =
-            corners_.shear(ray, triangles_[i][k], scale * triangle_bound, scale * triangle_bound);
+void find_candidates(const DoubleRay& ray, const Corners::Sheared (&c)[3], double scale,
+                     Candidates& out) {
     double w[3], e[3];
     int positive = 0, negative = 0;
     for (int k = 0; k < 3; ++k) {
@@ -130,9 +128,7 @@ void Triangles::candidates(const DoubleRay& ray, uint32_t i, double scale, Candi
     out.add(hit);
 }
 
-void Triangles::solve(const ExactRay& ray, uint32_t i, std::vector<Root>& out) const {
-    Triple<Dyadic> c[3];
-    for (int k = 0; k < 3; ++k) c[k] = corners_.shear(ray, triangles_[i][k]);
+void solve_sheared(const ExactRay& ray, const Triple<Dyadic> (&c)[3], std::vector<Root>& out) {
     Dyadic w[3];
     int positive = 0, negative = 0;
     for (int k = 0; k < 3; ++k) {
@@ -145,6 +141,35 @@ void Triangles::solve(const ExactRay& ray, uint32_t i, std::vector<Root>& out) c
     if (positive == negative) return;  // all zero: seen edge-on, or no area
     out.push_back(Root::fraction(w[0] * c[0][2] + w[1] * c[1][2] + w[2] * c[2][2],
                                  (w[0] + w[1] + w[2]) * ray.d[ray.kz]));
+}
+
+}  // namespace
+
+void Triangles::candidates(const DoubleRay& ray, uint32_t i, double scale, Candidates& out) const {
+    Corners::Sheared c[3];
+    for (int k = 0; k < 3; ++k)
+        c[k] =
+            corners_.shear(ray, triangles_[i][k], scale * triangle_bound, scale * triangle_bound);
+    find_candidates(ray, c, scale, out);
+}
+
+void Triangles::solve(const ExactRay& ray, uint32_t i, std::vector<Root>& out) const {
+    Triple<Dyadic> c[3];
+    for (int k = 0; k < 3; ++k) c[k] = corners_.shear(ray, triangles_[i][k]);
+    solve_sheared(ray, c, out);
+}
+
+void triangle_candidates(const DoubleRay& ray, const Vec3f (&v)[3], Candidates& out) {
+    Corners::Sheared c[3];
+    for (int k = 0; k < 3; ++k)
+        c[k] = Corners::shear(ray, {{v[k][0], v[k][1], v[k][2]}, 0, 0}, 0, 0);
+    find_candidates(ray, c, 0, out);
+}
+
+void solve_triangle(const ExactRay& ray, const Vec3f (&v)[3], std::vector<Root>& out) {
+    Triple<Dyadic> c[3];
+    for (int k = 0; k < 3; ++k) c[k] = Corners::shear(ray, triple<Dyadic>(v[k]));
+    solve_sheared(ray, c, out);
 }
 
 }  // namespace crofton::exact

@@ -11,6 +11,9 @@ namespace crofton::exact {
 /// Corners of triangles and polygons in world space, each with a radius that holds the exact one.
 class Corners {
   public:
+    struct World {
+        double p[3], radius, size;
+    };
     Corners(std::span<const Vec3f> object, std::shared_ptr<const Placed> placed);
 
     /// A corner relative to the ray's origin and sheared along the ray, which becomes the z axis.
@@ -21,9 +24,16 @@ class Corners {
     };
     /// @param bound, size_bound  how far a leaf test may displace x and y: times the reach, times
     ///                           the size
-    Sheared shear(const DoubleRay& ray, uint32_t corner, double bound, double size_bound) const;
+    Sheared shear(const DoubleRay& ray, uint32_t corner, double bound, double size_bound) const {
+        return shear(ray, at(corner), bound, size_bound);
+    }
+    static Sheared shear(const DoubleRay& ray, const World& corner, double bound,
+                         double size_bound);
     /// The same exactly, x and y times d[kz]; z times 1.
-    Triple<Dyadic> shear(const ExactRay& ray, uint32_t corner) const;
+    Triple<Dyadic> shear(const ExactRay& ray, uint32_t corner) const {
+        return shear(ray, exact_world(corner));
+    }
+    static Triple<Dyadic> shear(const ExactRay& ray, const Triple<Dyadic>& corner);
 
     const Vec3f& object(uint32_t corner) const { return object_[corner]; }
     bool finite(uint32_t corner) const { return object_[corner].allFinite(); }
@@ -36,15 +46,16 @@ class Corners {
     }
 
   private:
-    struct World {
-        double p[3], radius, size;
-    };
     World at(uint32_t corner) const;
 
     std::vector<Vec3f> object_;
     std::vector<World> world_;  ///< empty for the identity
     std::shared_ptr<const Placed> placed_;
 };
+
+/// One triangle of world-space corners, for who has no set of them: as Triangles.
+void triangle_candidates(const DoubleRay& ray, const Vec3f (&v)[3], Candidates& out);
+void solve_triangle(const ExactRay& ray, const Vec3f (&v)[3], std::vector<Root>& out);
 
 /// Triangles, hit from both sides; edges and corners belong to them. One that the ray lies in the
 /// plane of, or without area, is not hit.

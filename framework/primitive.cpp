@@ -1,7 +1,11 @@
 #include "framework/primitive.h"
 
+#include <hwy/base.h>
+
 #include <cassert>
 #include <unordered_set>
+
+#include "framework/exact_nearest.h"
 
 namespace crofton {
 namespace {
@@ -14,6 +18,23 @@ Hit result(const RayQuery& query, float scale) {
     hit.v = query.hit_v;
     return hit;
 }
+
+/// What a query in mode exact has more than others: what is known of the hit, and a frame for the
+/// world too. Under the identity nothing is rounded.
+struct ExactStart {
+    exact::NearestHit nearest;
+    InstanceFrame world;
+
+    ExactStart(const Ray& ray, float scale, LocalRay& local, RayQuery& query)
+        : nearest(ray, scale) {
+        query.mode = Mode::exact;
+        query.exact = &nearest;
+        world.world_from_object_f = rounded(world.world_from_object);
+        world.origin = Vec3d(query.origin[0], query.origin[1], query.origin[2]);
+        world.direction = Vec3d(query.direction[0], query.direction[1], query.direction[2]);
+        local.frame = &world;
+    }
+};
 
 void add_statistics(const Primitive& p, std::unordered_set<const Primitive*>& seen,
                     StructureStatistics& sum) {
@@ -32,48 +53,77 @@ void add_statistics(const Primitive& p, std::unordered_set<const Primitive*>& se
 
 }  // namespace
 
-Hit Primitive::intersect(const Ray& ray) const {
+Hit Primitive::intersect(const Ray& ray, Mode mode) const {
+    if (HWY_UNLIKELY(mode == Mode::exact)) return closest_exactly(ray, nullptr);
     RayQuery query;
     LocalRay local;
     float scale;
     if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
+    query.mode = mode;
     closest_local(local, query);
     return result(query, scale);
 }
 
-bool Primitive::occluded(const Ray& ray) const {
+bool Primitive::occluded(const Ray& ray, Mode mode) const {
+    if (HWY_UNLIKELY(mode == Mode::exact)) return any_exactly(ray, nullptr);
     RayQuery query;
     LocalRay local;
     float scale;
     if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
+    query.mode = mode;
     return any_local(local, query);
 }
 
-void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits) const {
+void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode) const {
     assert(rays.size() == hits.size());
-    for (size_t i = 0; i < rays.size(); ++i) hits[i] = intersect(rays[i]);
+    for (size_t i = 0; i < rays.size(); ++i) hits[i] = intersect(rays[i], mode);
 }
 
-void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results) const {
+void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, Mode mode) const {
     assert(rays.size() == results.size());
-    for (size_t i = 0; i < rays.size(); ++i) results[i] = occluded(rays[i]);
+    for (size_t i = 0; i < rays.size(); ++i) results[i] = occluded(rays[i], mode);
 }
 
-Hit Primitive::intersect(const Ray& ray, Counters& counters) const {
+Hit Primitive::intersect(const Ray& ray, Counters& counters, Mode mode) const {
+    if (HWY_UNLIKELY(mode == Mode::exact)) return closest_exactly(ray, &counters);
     RayQuery query;
     LocalRay local;
     float scale;
     if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
+    query.mode = mode;
     closest_local(local, query, counters);
     return result(query, scale);
 }
 
-bool Primitive::occluded(const Ray& ray, Counters& counters) const {
+bool Primitive::occluded(const Ray& ray, Counters& counters, Mode mode) const {
+    if (HWY_UNLIKELY(mode == Mode::exact)) return any_exactly(ray, &counters);
     RayQuery query;
     LocalRay local;
     float scale;
     if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
+    query.mode = mode;
     return any_local(local, query, counters);
+}
+
+Hit Primitive::closest_exactly(const Ray& ray, Counters* counters) const {
+    RayQuery query;
+    LocalRay local;
+    float scale;
+    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
+    const ExactStart start(ray, scale, local, query);
+    counters ? closest_local(local, query, *counters) : closest_local(local, query);
+    Hit hit = result(query, scale);
+    if (hit.is_hit() && start.nearest.decided(query)) hit.t = start.nearest.t();
+    return hit;
+}
+
+bool Primitive::any_exactly(const Ray& ray, Counters* counters) const {
+    RayQuery query;
+    LocalRay local;
+    float scale;
+    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
+    const ExactStart start(ray, scale, local, query);
+    return counters ? any_local(local, query, *counters) : any_local(local, query);
 }
 
 const std::vector<PlacedPrimitive>& PartCache::parts(

@@ -77,16 +77,18 @@ class Primitive {
 
     /// Closest hit with t in [ray.t_min, ray.t_max]; of several at the same t, the one with the
     /// lowest (instance, geometry, primitive). Thread-safe, does not throw.
-    Hit intersect(const Ray& ray) const;
+    /// @param mode  how hard it tries to be right, with the promise of each: see Mode
+    Hit intersect(const Ray& ray, Mode mode = Mode::robust) const;
     /// Whether anything is hit with t in [ray.t_min, ray.t_max].
-    bool occluded(const Ray& ray) const;
+    bool occluded(const Ray& ray, Mode mode = Mode::robust) const;
     /// The same for many rays; results are in the order of the rays and equal the single calls bit
     /// for bit. Spans must have equal length.
-    void intersect(std::span<const Ray> rays, std::span<Hit> hits) const;
-    void occluded(std::span<const Ray> rays, std::span<uint8_t> results) const;
+    void intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode = Mode::robust) const;
+    void occluded(std::span<const Ray> rays, std::span<uint8_t> results,
+                  Mode mode = Mode::robust) const;
     /// The same with counting: the hits are identical, the time is not to be measured.
-    Hit intersect(const Ray& ray, Counters& counters) const;
-    bool occluded(const Ray& ray, Counters& counters) const;
+    Hit intersect(const Ray& ray, Counters& counters, Mode mode = Mode::robust) const;
+    bool occluded(const Ray& ray, Counters& counters, Mode mode = Mode::robust) const;
 
     /// @name The seam, for accelerators and instances
     /// @{
@@ -148,6 +150,10 @@ class Primitive {
     }
 
   private:
+    /// `intersect` and `occluded` in mode exact; `counters` may be null.
+    Hit closest_exactly(const Ray& ray, Counters* counters) const;
+    bool any_exactly(const Ray& ray, Counters* counters) const;
+
     Bounds3 bounds_;
     Vec3f magnitudes_ = Vec3f::Zero();
 };

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "framework/mode.h"
 #include "framework/ray.h"
 #include "framework/shape_groups.h"
 #include "framework/transform.h"
@@ -13,6 +14,9 @@
 namespace crofton {
 
 class IdTable;
+namespace exact {
+class NearestHit;
+}
 
 /// The two queries. `closest`: the nearest hit; `any`: whether there is one.
 enum class Query { closest, any };
@@ -55,7 +59,7 @@ struct LocalRay {
     float rcp[4];                ///< finite: 1/d, or ±2^60/max|d| where |d| is below that
     float far_rcp[4];            ///< rcp·(1 + box_slack)
     float pad[4];                ///< half-width of the thick ray that a structure must follow, >= 0
-    const InstanceFrame* frame;  ///< null: this is world space
+    const InstanceFrame* frame;  ///< null: this is world space (in Mode::exact the identity)
 };
 
 /// Relative widening of a far box distance. Two slab distances carry 3 roundings each, γ3 = 3u; a
@@ -79,6 +83,9 @@ struct RayQuery {
     int kx, ky, kz;
     float shear_x, shear_y, shear_z;
 
+    Mode mode = Mode::robust;  ///< looked at where a leaf has something for it
+    exact::NearestHit* exact;  ///< of the hit so far; in Mode::exact only, else not set
+
     uint32_t instance = 0;  ///< sum of the instance offsets on the path to the current object
     const IdTable* hit_ids = nullptr;  ///< the set that was hit; null: nothing yet
     uint32_t hit_shape = 0;            ///< index in that set
@@ -97,6 +104,8 @@ struct RayQuery {
     Hit ids() const;
     /// Records a hit with t in [t_min, t_best] unless one at the same t has lower ids.
     void record(float t, float u, float v, const IdTable& ids, uint32_t shape);
+    /// Records a hit that is known to be nearer, or to have lower ids at the same t.
+    void replace(float t, float u, float v, const IdTable& ids, uint32_t shape);
 };
 
 /// Fills a ray's state, and its LocalRay in the world, from a user's ray.
@@ -171,6 +180,10 @@ inline void RayQuery::record(float t, float u, float v, const IdTable& ids, uint
         ids.resolve(shape, instance, candidate);
         if (!id_less(candidate, this->ids())) return;
     }
+    replace(t, u, v, ids, shape);
+}
+
+inline void RayQuery::replace(float t, float u, float v, const IdTable& ids, uint32_t shape) {
     set_best(t);
     hit_ids = &ids;
     hit_shape = shape;

@@ -10,6 +10,7 @@
 #include <hwy/highway.h>
 
 #include "framework/counters.h"
+#include "framework/exact_leaf.h"
 #include "framework/object_set.h"
 #include "framework/polygon_set.h"
 #include "framework/quadric_set.h"
@@ -65,7 +66,7 @@ HWY_INLINE ShearedCorners<D> shear(D d, const TriangleBlock<W>& block, size_t la
     return c;
 }
 
-/// One lane again, in double: see refine_triangle.
+/// One lane again, in double: see refine_triangle, and Mode::double_precision.
 template <bool Framed, int W>
 HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const RayQuery& q,
                               const InstanceFrame* frame, float& t, float& u, float& v) {
@@ -75,7 +76,27 @@ HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const 
         if constexpr (Framed) p = apply(frame->world_from_object_f, p);
         for (int a = 0; a < 3; ++a) corners[k][a] = p[a];
     }
-    return refine_triangle(corners, q, t, u, v);
+    if (!refine_triangle(corners, q, t, u, v)) return false;
+    if (q.mode == Mode::double_precision) t = exact::refined_t(corners, q, t);
+    return true;
+}
+
+/// Mode::exact: every triangle of the block by the oracle's filter, and where that is unsure, by
+/// exact arithmetic.
+template <Query Q, int W>
+HWY_NOINLINE bool test_block_exactly(const TriangleBlock<W>& block, const LocalRay& ray,
+                                     RayQuery& q, const IdTable& ids) {
+    for (int lane = 0; lane < W; ++lane) {
+        Vec3f v[3];
+        for (int k = 0; k < 3; ++k) {
+            v[k] = Vec3f(block.v[k][0][lane], block.v[k][1][lane], block.v[k][2][lane]);
+            v[k] = apply(ray.frame->world_from_object_f, v[k]);
+        }
+        // A spare lane holds NaN.
+        if (block.id[lane] != no_id && exact::test_triangle(Q, v, ids, block.id[lane], q))
+            return true;
+    }
+    return false;
 }
 
 /// Tests the triangles of one block, in world space (Woop, Benthin, Wald 2013).
@@ -84,7 +105,8 @@ HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const 
 /// Rounding is monotone, so a nonzero sign is right; a zero is decided in double, where the
 /// products are exact. Neighbours thus agree on every edge, and no ray passes between them. Lanes
 /// whose t might be off by more than 2^-15 are recomputed in double; the criterion compares the
-/// spread of depth that an error of the sheared corners can cause with t.
+/// spread of depth that an error of the sheared corners can cause with t. In mode `fast` nothing is
+/// recomputed, and in `double` every hit is.
 template <Query Q, bool Framed, int W>
 HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, RayQuery& q,
                            const IdTable& ids) {
@@ -113,23 +135,31 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
         auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)), hn::Mul(wc, zc));
         t = hn::Min(hn::Max(t, z_low), z_high);
 
-        const auto reach = hn::Max(hn::Max(hn::Max(hn::Abs(c.x[0]), hn::Abs(c.y[0])),
-                                           hn::Max(hn::Abs(c.x[1]), hn::Abs(c.y[1]))),
-                                   hn::Max(hn::Abs(c.x[2]), hn::Abs(c.y[2])));
-        const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
-        const auto spread = hn::Mul(hn::Mul(hn::Mul(reach, hn::Abs(rdet)), hn::Sub(z_high, z_low)),
-                                    hn::Mul(distance, hn::Set(d, 8.0f)));
-        // Written so that NaN (an area of zero) asks for the exact path, too.
+        // Written so that NaN (an area of zero) is no area.
         const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
-        auto sure = hn::And(hn::And(hn::Lt(spread, hn::Abs(t)), has_area),
-                            hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
-        // Where even the largest error, with the roundings of t itself, leaves t outside the
-        // interval, nothing needs to be sure.
-        const auto error =
-            hn::MulAdd(spread, hn::Set(d, 0x1p-14f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
-        const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
-                                    hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
-        hit = hn::AndNot(hn::And(outside, has_area), hit);
+        auto sure = hit;
+        if (HWY_UNLIKELY(q.mode == Mode::fast)) {
+            const auto inside =
+                hn::And(hn::Ge(t, hn::Set(d, q.t_min)), hn::Le(t, hn::Set(d, q.t_best)));
+            hit = hn::And(hit, hn::And(has_area, inside));
+        } else {
+            const auto reach = hn::Max(hn::Max(hn::Max(hn::Abs(c.x[0]), hn::Abs(c.y[0])),
+                                               hn::Max(hn::Abs(c.x[1]), hn::Abs(c.y[1]))),
+                                       hn::Max(hn::Abs(c.x[2]), hn::Abs(c.y[2])));
+            const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
+            const auto spread =
+                hn::Mul(hn::Mul(hn::Mul(reach, hn::Abs(rdet)), hn::Sub(z_high, z_low)),
+                        hn::Mul(distance, hn::Set(d, 8.0f)));
+            sure = hn::And(hn::And(hn::Lt(spread, hn::Abs(t)), has_area),
+                           hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
+            // Where even the largest error, with the roundings of t itself, leaves t outside the
+            // interval, nothing needs to be sure.
+            const auto error =
+                hn::MulAdd(spread, hn::Set(d, 0x1p-14f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
+            const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
+                                        hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
+            hit = hn::AndNot(hn::And(outside, has_area), hit);
+        }
         if (hn::AllFalse(d, hit)) continue;
 
         alignas(64) float ts[N], us[N], vs[N];
@@ -140,7 +170,8 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
         hn::StoreMaskBits(d, hit, hit_bits);
         hn::StoreMaskBits(d, sure, sure_bits);
         uint32_t open = hit_bits[0] | (N > 8 ? uint32_t(hit_bits[1]) << 8 : 0);
-        const uint32_t exact = sure_bits[0] | (N > 8 ? uint32_t(sure_bits[1]) << 8 : 0);
+        uint32_t exact = sure_bits[0] | (N > 8 ? uint32_t(sure_bits[1]) << 8 : 0);
+        if (HWY_UNLIKELY(q.mode == Mode::double_precision)) exact = 0;
         for (; open; open &= open - 1) {
             const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(open));
             if (HWY_UNLIKELY(!(exact >> i & 1)) &&
@@ -155,10 +186,12 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
 }
 
 /// Under a map, out of line: a second copy of the test in every traversal would only push the
-/// common one out of the instruction cache.
+/// common one out of the instruction cache. In mode `exact` all of space has a frame, so that the
+/// common test need not ask for that mode.
 template <Query Q, int W>
 HWY_NOINLINE bool test_framed_block(const TriangleBlock<W>& block, const LocalRay& ray, RayQuery& q,
                                     const IdTable& ids) {
+    if (HWY_UNLIKELY(q.mode == Mode::exact)) return test_block_exactly<Q>(block, ray, q, ids);
     return test_block<Q, true>(block, ray, q, ids);
 }
 
@@ -228,6 +261,10 @@ template <Query Q, class Set, class C>
 HWY_INLINE bool test_shapes(const Set& set, const uint32_t* references, uint32_t count,
                             const LocalRay& ray, RayQuery& q, C& counters) {
     counters.test(count);
+    // Kinds that the oracle knows have a stricter test for the stricter modes.
+    if constexpr (requires { exact::test_shapes(Q, set, references, count, ray, q); })
+        if (HWY_UNLIKELY(q.mode > Mode::robust))
+            return exact::test_shapes(Q, set, references, count, ray, q);
     for (uint32_t i = 0; i < count; ++i) {
         float t;
         if (!set.intersect(references[i], ray, q, t)) continue;
