@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <fstream>
 
+#include "experiments/catalogue/recipes.h"
 #include "experiments/random.h"
 #include "framework/error.h"
 #include "scenegraph/shading.h"
@@ -17,12 +18,6 @@ namespace crofton {
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "ray files are little-endian");
-
-/// A point on a surface, moved off it on the side that was seen.
-struct SurfacePoint {
-    Vec3d position;
-    Vec3d normal;
-};
 
 struct ImageSize {
     int width, height;
@@ -43,22 +38,14 @@ std::vector<Ray> primary_rays(const WorkloadSpec& spec, const RaySource& source)
     return camera_rays(camera, size.width, size.height);
 }
 
-/// Far enough from the surface that rounding the origin to float does not put it behind.
-SurfacePoint lifted(const Ray& ray, float t, const Vec3d& normal) {
-    const Vec3d p = point_at(ray, t);
-    const double scale =
-        std::max(p.cwiseAbs().maxCoeff(), double(t) * double(ray.direction.cwiseAbs().maxCoeff()));
-    return {p + normal * (scale * 0x1p-16), normal};
-}
-
 std::vector<SurfacePoint> seen_points(const WorkloadSpec& spec, const RaySource& source) {
     const std::vector<Ray> rays = primary_rays(spec, source);
     std::vector<Hit> hits(rays.size());
     source.reference.intersect(rays, hits);
     std::vector<SurfacePoint> points;
     for (size_t i = 0; i < rays.size(); ++i)
-        if (const auto n = surface_normal(source.scene, source.instances, hits[i], rays[i]))
-            points.push_back(lifted(rays[i], hits[i].t, *n));
+        if (const auto p = surface_point(source.scene, source.instances, hits[i], rays[i]))
+            points.push_back(*p);
     if (points.empty())
         throw InputError("workload '" + spec.name + "': no primary ray hits the scene");
     return points;
@@ -100,11 +87,35 @@ std::vector<Ray> secondary_rays(const WorkloadSpec& spec, const RaySource& sourc
         const SurfacePoint& p = points[at];
         if (spec.type == "shadow") {
             // The light itself is not a surface, but may lie in one.
-            const Vec3d& light = lights[size_t(i) % lights.size()];
-            rays.push_back(make_ray(p.position, light - p.position, 1 - 0x1p-12));
+            rays.push_back(spawn_ray_to(p, lights[size_t(i) % lights.size()]));
         } else {
-            rays.push_back(make_ray(p.position, cosine_direction(p.normal, rng), reach));
+            rays.push_back(spawn_ray(p, cosine_direction(p.normal, rng), float(reach)));
         }
+    }
+    return rays;
+}
+
+/// From anywhere between one and two radii off the scene's sphere, at corners or points of edges.
+std::vector<Ray> aimed_rays(const WorkloadSpec& spec, const RaySource& source) {
+    const AimPoints aim(source.scene);
+    Pcg32 rng(spec.seed, 4);
+    std::vector<Ray> rays;
+    rays.reserve(size_t(spec.rays));
+    for (int64_t i = 0; i < spec.rays; ++i) {
+        const double distance = source.sphere.radius * (1 + rng.uniform());
+        const Vec3d from = source.sphere.center + distance * uniform_direction(rng);
+        Vec3f target = aim.corners[rng.below(aim.corners.size())];
+        if (spec.type == "edge" && !aim.triangles.empty()) {
+            const auto& t = aim.triangles[rng.below(aim.triangles.size())];
+            const size_t k = rng.below(3);
+            const Vec3d a = aim.corners[t[k]].cast<double>();
+            const Vec3d b = aim.corners[t[(k + 1) % 3]].cast<double>();
+            target = (a + rng.uniform() * (b - a)).cast<float>();
+        }
+        Ray ray;
+        ray.origin = from.cast<float>();
+        ray.direction = target - ray.origin;
+        rays.push_back(ray);
     }
     return rays;
 }
@@ -140,6 +151,8 @@ std::vector<Ray> make_rays(const WorkloadSpec& spec, const RaySource& source) {
         rays = primary_rays(spec, source);
     else if (spec.type == "random")
         rays = random_lines(source.sphere, spec.rays, spec.seed);
+    else if (spec.type == "vertex" || spec.type == "edge")
+        rays = aimed_rays(spec, source);
     else if (spec.type == "file")
         rays = read_rays(spec.file);
     else
