@@ -14,6 +14,7 @@
 #include "experiments/image.h"
 #include "experiments/inspect.h"
 #include "experiments/minimise.h"
+#include "experiments/peers.h"
 #include "experiments/progress.h"
 #include "experiments/random.h"
 #include "experiments/report.h"
@@ -63,7 +64,8 @@ struct RenderArguments : StructureArguments {
 
 struct VerifyArguments {
     VerifyOptions options;
-    std::string accelerators, replay, minimised, failures = "verify_failures.jsonl";
+    std::string accelerators, mode = "robust", replay, minimised,
+                failures = "verify_failures.jsonl";
     bool json = false, quiet = false;
 };
 
@@ -230,6 +232,7 @@ std::vector<std::string> split_names(const std::string& text) {
 int verify(VerifyArguments arguments) {
     Progress progress(arguments.quiet);
     arguments.options.accelerators = split_names(arguments.accelerators);
+    arguments.options.mode = *mode_named(arguments.mode);
     const bool again = !arguments.replay.empty();
     if (!arguments.minimised.empty()) {
         if (!again) throw InputError("--minimise needs --replay FILE");
@@ -254,6 +257,10 @@ void add_verify(CLI::App& app, VerifyArguments& a) {
     sub.add_option("scene", a.options.scene,
                    "File, procedural:NAME or catalogue:NAME; otherwise all of the catalogue");
     sub.add_option("--accelerators", a.accelerators, "Names with commas between; otherwise all");
+    const auto modes = mode_names();
+    sub.add_option("--mode", a.mode, "Of the queries; the truth is then that of the mode")
+        ->capture_default_str()
+        ->check(CLI::IsMember(std::vector<std::string>(modes.begin(), modes.end())));
     sub.add_option("--rays", a.options.rays, "In all, over scenes and recipes")
         ->capture_default_str()
         ->check(CLI::Range(uint64_t{1}, uint64_t{1} << 40));
@@ -344,6 +351,7 @@ void add_render(CLI::App& app, RenderArguments& a) {
 
 /// @return  exit code
 int dispatch(int argc, char** argv) {
+    register_peers();
     CLI::App app("Crofton: nested acceleration structures for ray intersection, and their costs");
     app.require_subcommand(1);
     app.set_version_flag("--version", version_text());

@@ -55,7 +55,7 @@ WorkloadSpec read_workload(ConfigTable& table, const std::string& folder) {
     spec.seed = uint64_t(table.integer("seed", 1, 0, int64_t{1} << 62));
     if (spec.type == "file") {
         spec.file = ray_file(table, folder);
-    } else if (spec.type == "random") {
+    } else if (spec.type == "random" || spec.type == "vertex" || spec.type == "edge") {
         spec.rays = table.integer("rays", 100000, 1, most_rays);
     } else {
         read_image_size(table, spec);
@@ -101,6 +101,12 @@ RunSpec read_run(ConfigTable table) {
     run.picture_height = table.integer("picture_height", run.picture_height, 64, 8192);
     run.max_pass_s = table.real("max_pass_s", run.max_pass_s, 1e-3, 1e6);
     run.max_check_s = table.real("max_check_s", run.max_check_s, 0, 1e6);
+    const auto modes = mode_names();
+    run.mode = *mode_named(table.string("mode", name_of(run.mode), {modes.begin(), modes.end()}));
+    run.oracle = table.integer("oracle", run.oracle, 0, 1 << 24);
+    run.plot = table.boolean("plot", run.plot);
+    if (run.plot && run.oracle == 0)
+        table.fail("plot", "plot: needs 'oracle', the number of rays to judge");
     run.first_image = table.integer("first_image", run.first_image, 0, 1000);
     table.finish();
     return run;
@@ -117,7 +123,8 @@ bool same_runs(const Experiment& a, const Experiment& b) {
 }
 
 bool same_variant(const Variant& a, const Variant& b) {
-    return a.name == b.name && a.canonical == b.canonical && a.max_rays == b.max_rays;
+    return a.name == b.name && a.canonical == b.canonical && a.max_rays == b.max_rays &&
+           a.mode == b.mode;
 }
 
 /// Adds an experiment to the list, or its variants to one that shares all the rest.
@@ -170,6 +177,8 @@ const std::vector<std::pair<std::string, std::string>>& workload_types() {
         {"ambient_occlusion", "cosine-distributed short rays from what primary rays hit"},
         {"diffuse", "cosine-distributed rays from what primary rays hit: one diffuse bounce"},
         {"random", "isotropic lines, uniform over the bounding sphere: the Crofton measure"},
+        {"vertex", "from around the scene to its vertices, exactly: d = fl(vertex - o)"},
+        {"edge", "from around the scene to points of its edges, as near as floats are"},
         {"file", "rays from a file: little-endian float32 x 8: origin, t_min, direction, t_max"},
     };
     return types;
@@ -185,6 +194,8 @@ Experiment parse_experiment(ConfigValue config, const std::string& folder) {
     experiment.variants = parse_variants(root);
     experiment.workloads = read_workloads(root, folder);
     experiment.run = read_run(root.table("run"));
+    for (Variant& variant : experiment.variants)
+        if (!variant.mode) variant.mode = experiment.run.mode;
     experiment.scene_canonical = text_of(config, "scene") + text_of(config, "camera");
     experiment.run_canonical = text_of(config, "run");
     for (const ConfigValue& item : config.find("workload")->items)

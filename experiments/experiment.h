@@ -37,7 +37,10 @@ struct RunSpec {
     int64_t picture_width = 480, picture_height = 360;
     double max_pass_s = 0.5;
     double max_check_s = 20;
-    int64_t first_image = 0;  ///< times to build anew and trace a workload once; 0: not measured
+    Mode mode = Mode::robust;  ///< of variants without their own
+    int64_t oracle = 0;        ///< rays of each workload to compare with the oracle; 0: none
+    bool plot = false;         ///< time against error
+    int64_t first_image = 0;   ///< times to build anew and trace a workload once; 0: not measured
 };
 
 /// Variants that share a scene, the rays and the settings of a run.

@@ -28,25 +28,6 @@ namespace {
 constexpr int legend_height = 34;
 const Vec3d background(0.13, 0.13, 0.15);
 
-/// Text with its upper left corner at (x, y), every point of the font two pixels wide.
-void draw_text(Image& image, int x, int y, std::string text) {
-    struct Vertex {
-        float x, y, z;
-        unsigned char color[4];
-    };
-    std::vector<Vertex> vertices(text.size() * 4 * 20 + 64);
-    const int quads = stb_easy_font_print(0, 0, text.data(), nullptr, vertices.data(),
-                                          int(vertices.size() * sizeof(Vertex)));
-    constexpr int zoom = 1;
-    for (int q = 0; q < quads; ++q) {
-        const Vertex& a = vertices[size_t(q) * 4];
-        const Vertex& c = vertices[size_t(q) * 4 + 2];
-        for (int v = int(a.y * zoom); v < int(c.y * zoom); ++v)
-            for (int u = int(a.x * zoom); u < int(c.x * zoom); ++u)
-                image.set(x + u, y + v, Vec3d::Ones());
-    }
-}
-
 double seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
@@ -88,6 +69,22 @@ double pilot_s(const Primitive& root, const std::vector<Ray>& rays) {
 }
 
 }  // namespace
+
+void draw_text(Image& image, int x, int y, std::string text) {
+    struct Vertex {
+        float x, y, z;
+        unsigned char color[4];
+    };
+    std::vector<Vertex> vertices(text.size() * 4 * 20 + 64);
+    const int quads = stb_easy_font_print(0, 0, text.data(), nullptr, vertices.data(),
+                                          int(vertices.size() * sizeof(Vertex)));
+    for (int q = 0; q < quads; ++q) {
+        const Vertex& a = vertices[size_t(q) * 4];
+        const Vertex& c = vertices[size_t(q) * 4 + 2];
+        for (int v = int(a.y); v < int(c.y); ++v)
+            for (int u = int(a.x); u < int(c.x); ++u) image.set(x + u, y + v, Vec3d::Ones());
+    }
+}
 
 void Image::set(int x, int y, const Vec3d& color) {
     if (x < 0 || y < 0 || x >= width || y >= height) return;

@@ -19,6 +19,9 @@ struct Image {
     void set(int x, int y, const Vec3d& color);  ///< channels in [0, 1]; nothing outside the image
 };
 
+/// White text with its upper left corner at (x, y), 8 pixels high.
+void draw_text(Image& image, int x, int y, std::string text);
+
 /// @throws InputError  cannot be written
 void write_png(const std::string& path, const Image& image);
 

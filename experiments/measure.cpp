@@ -20,11 +20,12 @@ struct Scratch {
     std::vector<uint8_t> flags = std::vector<uint8_t>(chunk);
 };
 
-void trace_chunk(const Primitive& root, std::span<const Ray> rays, bool any, Scratch& scratch) {
-    if (any)
-        root.occluded(rays, std::span(scratch.flags).first(rays.size()));
+void trace_chunk(const Primitive& root, std::span<const Ray> rays, const Tracing& tracing,
+                 Scratch& scratch) {
+    if (tracing.any)
+        root.occluded(rays, std::span(scratch.flags).first(rays.size()), tracing.mode);
     else
-        root.intersect(rays, std::span(scratch.hits).first(rays.size()));
+        root.intersect(rays, std::span(scratch.hits).first(rays.size()), tracing.mode);
 }
 
 /// Calls work(begin, end) over all chunks on as many threads as asked for.
@@ -61,12 +62,12 @@ double timed_pass(const Primitive& root, std::span<const Ray> rays, const Tracin
     const auto start = std::chrono::steady_clock::now();
     if (tracing.threads == 1) {
         for (size_t begin = 0; begin < rays.size(); begin += chunk)
-            trace_chunk(root, rays.subspan(begin, std::min(chunk, rays.size() - begin)),
-                        tracing.any, own);
+            trace_chunk(root, rays.subspan(begin, std::min(chunk, rays.size() - begin)), tracing,
+                        own);
     } else {
         for_chunks(rays.size(), tracing.threads, [&](size_t begin, size_t end) {
             thread_local Scratch scratch;
-            trace_chunk(root, rays.subspan(begin, end - begin), tracing.any, scratch);
+            trace_chunk(root, rays.subspan(begin, end - begin), tracing, scratch);
         });
     }
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
@@ -93,27 +94,27 @@ std::vector<Hit> trace_hits(const Primitive& root, std::span<const Ray> rays,
         const auto part = rays.subspan(begin, end - begin);
         const auto out = std::span(hits).subspan(begin, end - begin);
         if (!tracing.any) {
-            root.intersect(part, out);
+            root.intersect(part, out, tracing.mode);
             return;
         }
         std::vector<uint8_t> flags(part.size());
-        root.occluded(part, flags);
+        root.occluded(part, flags, tracing.mode);
         for (size_t i = 0; i < flags.size(); ++i)
             if (flags[i]) out[i].primitive = 0;
     });
     return hits;
 }
 
-Counters counted_pass(const Primitive& root, std::span<const Ray> rays, bool any) {
+Counters counted_pass(const Primitive& root, std::span<const Ray> rays, bool any, Mode mode) {
     Counters sum;
     std::mutex mutex;
     for_chunks(rays.size(), 0, [&](size_t begin, size_t end) {
         Counters counters;
         for (size_t i = begin; i < end; ++i) {
             if (any)
-                root.occluded(rays[i], counters);
+                root.occluded(rays[i], counters, mode);
             else
-                root.intersect(rays[i], counters);
+                root.intersect(rays[i], counters, mode);
         }
         const std::lock_guard lock(mutex);
         sum += counters;

@@ -28,6 +28,7 @@ class PinnedThread {
 struct Tracing {
     bool any = false;
     int threads = 1;  ///< 0 = one per core
+    Mode mode = Mode::robust;
 };
 
 /// Traces all rays once without counters. @return  wall seconds
@@ -41,7 +42,8 @@ std::vector<Hit> trace_hits(const Primitive& root, std::span<const Ray> rays,
                             const Tracing& tracing);
 
 /// Sums over all rays, of a pass with counters on all cores; sums of integers, so always the same.
-Counters counted_pass(const Primitive& root, std::span<const Ray> rays, bool any);
+Counters counted_pass(const Primitive& root, std::span<const Ray> rays, bool any,
+                      Mode mode = Mode::robust);
 
 /// `count` of `total` indices, ascending: one at random in each of `count` equal strides, so that
 /// the sample is unbiased and no stride falls in step with the rows of an image.

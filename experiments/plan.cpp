@@ -23,7 +23,7 @@ class Choices {
     ChoicePointer get(const std::string& name, const ConfigValue& at) {
         if (std::find(names_.begin(), names_.end(), name) != names_.end()) return resolve(name, {});
         const auto& registered = accelerators();
-        if (registered.contains(name)) {
+        if (registered.contains(name) || peers().contains(name)) {
             const auto choice = std::make_shared<AcceleratorChoice>();
             choice->label = choice->type = name;
             return choice;
@@ -44,7 +44,7 @@ class Choices {
         choice->label = name;
         const auto type = table.string("type");
         if (!type) table.fail("type", table.what() + ": missing key 'type'");
-        if (!accelerators().contains(*type))
+        if (!accelerators().contains(*type) && !peers().contains(*type))
             table.fail("type", unknown_name("accelerator", *type, accelerator_names()));
         choice->type = *type;
         read_parameters(table, *choice);
@@ -140,6 +140,28 @@ Assignment read_assignment(ConfigTable& table, const Assignment& base, Choices& 
     return out;
 }
 
+/// Notes whether a plan holds peers, and whether all of them are there.
+void look_for_peers(Variant& variant) {
+    const auto look = [&](const ChoicePointer& choice) {
+        for (const AcceleratorChoice* at = choice.get(); at; at = at->inside.get()) {
+            const auto peer = peers().find(at->type);
+            if (peer == peers().end()) continue;
+            variant.peer = true;
+            if (!peer->second.build) variant.available = false;
+        }
+    };
+    look(variant.plan.top);
+    if (!variant.plan.flatten) look(variant.plan.objects);
+    for (const auto& rule : variant.plan.rules) look(rule.accelerator);
+}
+
+/// Of a variant; nothing if it has none of its own.
+std::optional<Mode> read_mode(ConfigTable& table) {
+    if (!table.has("mode")) return std::nullopt;
+    const auto names = mode_names();
+    return mode_named(table.string("mode", "", {names.begin(), names.end()}));
+}
+
 std::string canonical(const AssemblyPlan& plan) {
     std::string text = "top=" + canonical(*plan.top);
     if (plan.flatten) return text + ";flat";
@@ -168,6 +190,7 @@ Variant make_variant(const std::string& name, const Assignment& assignment) {
                     assignment.rules};
     variant.canonical = canonical(variant.plan);
     variant.exact = !has_lod(variant.plan);
+    look_for_peers(variant);
     return variant;
 }
 
@@ -201,6 +224,7 @@ std::vector<Variant> parse_variants(ConfigTable& root) {
         const std::string name = required_string(table, "name");
         Variant variant = make_variant(name, read_assignment(table, base, choices));
         variant.max_rays = table.integer("max_rays", 1, int64_t{1} << 40);
+        variant.mode = read_mode(table);
         table.finish();
         for (const Variant& other : variants)
             if (other.name == name) table.fail("name", "two variants are named '" + name + "'");

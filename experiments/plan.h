@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "framework/config.h"
+#include "framework/mode.h"
 #include "scenegraph/assemble.h"
 
 namespace crofton {
@@ -17,8 +18,11 @@ struct Variant {
     std::string name;
     AssemblyPlan plan;
     std::optional<int64_t> max_rays;  ///< timed per pass
-    std::string canonical;            ///< equal texts: equal structures
-    bool exact = true;  ///< false: rays may end at something coarser than the shapes, see `lod`
+    std::optional<Mode> mode;         ///< nothing: what [run] says
+    bool peer = false;      ///< holds another library's structure, which promises nothing of ours
+    bool available = true;  ///< false: a peer that the program was built without
+    std::string canonical;  ///< equal texts: equal structures
+    bool exact = true;      ///< false: rays may end at something coarser than the shapes, see `lod`
     std::vector<std::pair<std::string, ConfigValue>> sweep;  ///< the values that led here
 };
 

@@ -75,6 +75,17 @@ std::vector<std::string> cells(const Row& row, double best) {
         cells.push_back(short_number(row.first_image_s));
         cells.push_back(short_number(double(row.first_image_bytes) / 1e6));
     }
+    if (row.oracle.rays > 0) {
+        const auto rate = [&](const VerifyTally::Split& s) {
+            const double each = 1e9 / double(row.oracle.rays);
+            return fmt::format("{:.4g}", double(s.inside + s.outside) * each);
+        };
+        cells.insert(cells.end(), {rate(row.oracle.false_misses), rate(row.oracle.false_hits),
+                                   rate(row.oracle.wrong_primitives),
+                                   fmt::format("{:g}", row.oracle.t_ulp.quantile(0.5)),
+                                   fmt::format("{:g}", row.oracle.t_ulp.quantile(0.999)),
+                                   fmt::format("{:.4g}", row.oracle.t_ulp.largest())});
+    }
     return cells;
 }
 
@@ -87,6 +98,9 @@ std::string part_text(std::span<const Row> rows, bool color) {
     std::vector<std::string> head{"variant", "accelerator", "M rays/s", "ns/ray", "interval",
                                   "N_IT",    "N_TS",        "build s",  "MB",     "x best"};
     if (first.first_image_s > 0) head.insert(head.end(), {"first image s", "MB then"});
+    if (first.oracle.rays > 0)
+        head.insert(head.end(),
+                    {"f.miss/1e9", "f.hit/1e9", "wr.prim/1e9", "ulp p50", "p99.9", "max"});
     table.add(std::move(head));
     for (const Row& row : rows) table.add(cells(row, best->ns_per_ray.median));
     const std::vector<std::string> lines = table.lines();
@@ -97,6 +111,9 @@ std::string part_text(std::span<const Row> rows, bool color) {
         const char* code = i == 0 ? "\033[2m" : &rows[i - 1] == &*best ? "\033[1m" : "";
         text += color && *code ? "  " + (code + lines[i]) + "\033[0m\n" : "  " + lines[i] + "\n";
     }
+    if (first.oracle.rays > 0)
+        text +=
+            fmt::format("  against the oracle on {} rays; ulp: error of t\n", first.oracle.rays);
     for (const Row& row : rows) {
         if (row.rays_timed < row.rays)
             text += fmt::format("  * {}: timed on {} of {} rays, one at random in every {:.1f}\n",
@@ -149,6 +166,9 @@ std::string report_text(const RunOutput& output, const std::string& folder, bool
         text +=
             fmt::format("Check passed: {} hits agree ray by ray, in ids and in every bit of t.\n",
                         all ? "all variants'" : "all exact variants'");
+        if (std::any_of(output.rows.begin(), output.rows.end(),
+                        [&](const Row& row) { return row.mode != output.rows[0].mode; }))
+            text += "(Those of one mode with each other; not those in mode fast, nor of peers.)\n";
     }
     if (!output.pictures.empty()) {
         text += "Pictures:";

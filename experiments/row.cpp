@@ -66,6 +66,21 @@ void put_timing(Json& json, const Row& row) {
     json["host"] = row.host;
 }
 
+/// Against the oracle; rates per 10^9 rays.
+void put_errors(Json& json, const VerifyTally& t) {
+    const double each = 1e9 / double(t.rays);
+    const auto sum = [](const VerifyTally::Split& s) { return s.inside + s.outside; };
+    json["oracle_rays"] = t.rays;
+    json["misses_per_1e9"] = double(sum(t.false_misses)) * each;
+    json["false_hits_per_1e9"] = double(sum(t.false_hits)) * each;
+    json["wrong_primitives_per_1e9"] = double(sum(t.wrong_primitives)) * each;
+    json["outside_margin"] = t.false_misses.outside + t.false_hits.outside +
+                             t.wrong_primitives.outside + t.wrong_t.outside;
+    json["t_ulp_p50"] = t.t_ulp.quantile(0.5);
+    json["t_ulp_p99_9"] = t.t_ulp.quantile(0.999);
+    json["t_ulp_max"] = t.t_ulp.largest();
+}
+
 /// Nested structures as text; deeper than `levels` only an ellipsis.
 class Description {
   public:
@@ -102,6 +117,7 @@ std::string to_json_line(const Row& row) {
     json["scene"] = row.scene;
     json["variant"] = row.variant;
     json["accelerator"] = row.accelerator;
+    json["mode"] = row.mode;
     json["workload"] = row.workload;
     json["query"] = row.query;
     json["rays"] = row.rays;
@@ -127,6 +143,7 @@ std::string to_json_line(const Row& row) {
     put_structure(json, row.structure);
     put_counters(json, row.counters, row.rays_checked);
     put_timing(json, row);
+    if (row.oracle.rays > 0) put_errors(json, row.oracle);
     json["seed"] = row.seed;
     json["key"] = row.key;
     json["sweep"] = Json::object();

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "experiments/statistics.h"
+#include "experiments/verify.h"
 #include "framework/config.h"
 #include "framework/counters.h"
 #include "framework/primitive.h"
@@ -23,12 +24,13 @@ struct DepthError {
 /// The result of one variant on one workload: a line of rows.jsonl.
 struct Row {
     std::string key;  ///< hash of all that the result depends on but the machine
-    std::string scene, variant, accelerator, workload, query;
+    std::string scene, variant, accelerator, mode, workload, query;
     uint64_t rays = 0;          ///< of the workload
     uint64_t rays_timed = 0;    ///< per pass; fewer than all for slow variants
     uint64_t rays_checked = 0;  ///< traced for `hits`, the check and the counters
     uint64_t hits = 0;          ///< of the rays checked
     std::string hits_checksum;
+    bool peer = false;        ///< of another library
     uint64_t mismatches = 0;  ///< rays whose hit differs from the reference variant's
     std::string checked_against;
     std::optional<DepthError> depth_error;  ///< instead of mismatches
@@ -41,6 +43,7 @@ struct Row {
     Counters counters;               ///< sums over rays_checked
     MedianInterval ns_per_ray;
     std::vector<double> ns_per_ray_raw;  ///< one a pass
+    VerifyTally oracle;                  ///< against the oracle; no rays: not compared
     double expected_ns = 0;              ///< Primitive::expected_cost
     int64_t repeats = 0, threads = 1;
     int core = -1;  ///< that timed passes were pinned to

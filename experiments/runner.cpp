@@ -12,9 +12,12 @@
 #include "experiments/hash.h"
 #include "experiments/image.h"
 #include "experiments/measure.h"
+#include "experiments/plot.h"
 #include "experiments/workload.h"
 #include "framework/error.h"
+#include "framework/parallel.h"
 #include "framework/registry.h"
+#include "scenegraph/exact_scene.h"
 
 namespace crofton {
 namespace {
@@ -85,6 +88,7 @@ class Run {
         for (const Variant& variant : spec_.variants) build(variant);
         for (size_t i = 0; i < spec_.workloads.size(); ++i) run_workload(i);
         if (spec_.run.pictures) draw();
+        if (spec_.run.plot) plot();
     }
 
   private:
@@ -113,6 +117,11 @@ class Run {
 
     void build(const Variant& variant) {
         progress_.step("building " + variant.name);
+        if (!variant.available) {
+            output_.notes.push_back(variant.name +
+                                    ": left out; this program was built without the peer");
+            return;
+        }
         Built built{&variant, assembled(variant)};
         for (const std::string& warning : built.assembly.warnings)
             output_.notes.push_back(variant.name + ": " + warning);
@@ -128,8 +137,8 @@ class Run {
     void run_workload(size_t index) {
         const WorkloadSpec& workload = spec_.workloads[index];
         progress_.step("making rays: " + workload.name);
-        const bool secondary =
-            workload.type != "primary" && workload.type != "random" && workload.type != "file";
+        const bool secondary = workload.type == "shadow" || workload.type == "ambient_occlusion" ||
+                               workload.type == "diffuse";
         const Primitive& from = secondary ? reference() : *built_.front().assembly.root;
         rays_ = make_rays(workload, {scene_, instances_, from, sphere_, spec_.scene.camera});
         if (rays_.empty()) throw InputError("workload '" + workload.name + "': there are no rays");
@@ -142,12 +151,14 @@ class Run {
         for (Trial& trial : trials) finish(trial, index);
     }
 
-    Tracing timed_tracing() const { return {any_, int(spec_.run.threads)}; }
+    Tracing timed_tracing(const Built& built) const {
+        return {any_, int(spec_.run.threads), *built.spec->mode};
+    }
 
     Trial plan_trial(const Built& built, const WorkloadSpec& workload) {
         Trial trial;
         trial.built = &built;
-        trial.pilot = std::max(1e-3, pilot_ns(*built.assembly.root, rays_, timed_tracing()));
+        trial.pilot = std::max(1e-3, pilot_ns(*built.assembly.root, rays_, timed_tracing(built)));
         double most = std::max(1.0, spec_.run.max_pass_s * 1e9 / trial.pilot);
         if (built.spec->max_rays) most = std::min(most, double(*built.spec->max_rays));
         if (most < double(rays_.size())) {
@@ -174,41 +185,88 @@ class Run {
         for (int64_t pass = 0; pass < spec_.run.first_image; ++pass)
             for (size_t i = 0; i < trials.size(); ++i) {
                 const Assembly fresh = assembled(*trials[i].built->spec);
-                seconds[i].push_back(fresh.build_s +
-                                     timed_pass(*fresh.root, rays_, timed_tracing()));
+                seconds[i].push_back(fresh.build_s + timed_pass(*fresh.root, rays_,
+                                                                timed_tracing(*trials[i].built)));
                 trials[i].row.first_image_bytes = total_statistics(*fresh.root).bytes;
             }
         for (size_t i = 0; i < trials.size(); ++i)
             trials[i].row.first_image_s = median_interval(seconds[i]).median;
     }
 
-    /// Traces every variant once, which also warms it up, and compares with the fastest exact one.
+    /// Whether a variant's hits must have the same bits as those of others in its mode.
+    static bool promises_bits(const Built& built) {
+        return *built.spec->mode != Mode::fast && !built.spec->peer && built.spec->exact;
+    }
+
+    /// Traces every variant once, which also warms it up, and compares with the fastest of its
+    /// mode that is exact about what is hit.
     void check(std::vector<Trial>& trials, const WorkloadSpec& workload) {
         progress_.step("checking hits: " + workload.name);
-        Trial* fastest = nullptr;
-        for (Trial& trial : trials)
-            if (trial.built->spec->exact && (!fastest || trial.pilot < fastest->pilot))
-                fastest = &trial;
-        if (fastest) fastest->check_all = true;
-        const Tracing tracing{any_, 0};
-        const std::string against = fastest ? fastest->built->spec->name : "a bvh";
-        const std::vector<Hit> expected =
-            trace_hits(fastest ? *fastest->built->assembly.root : reference(), rays_, tracing);
-        for (Trial& trial : trials) {
-            const bool self = &trial == fastest;
+        for (const Mode mode : {Mode::fast, Mode::robust, Mode::double_precision, Mode::exact}) {
+            std::vector<Trial*> group;
+            for (Trial& trial : trials)
+                if (*trial.built->spec->mode == mode) group.push_back(&trial);
+            check_mode(group, {any_, 0, mode}, workload);
+        }
+        if (spec_.run.oracle > 0) judge(trials, workload);
+    }
+
+    void check_mode(const std::vector<Trial*>& trials, const Tracing& tracing,
+                    const WorkloadSpec& workload) {
+        Trial* reference = nullptr;
+        for (Trial* trial : trials)
+            if (promises_bits(*trial->built) && (!reference || trial->pilot < reference->pilot))
+                reference = trial;
+        if (trials.empty()) return;
+        if (reference) reference->check_all = true;
+        const std::string against = reference ? reference->built->spec->name : "a bvh";
+        const std::vector<Hit> expected = trace_hits(
+            reference ? *reference->built->assembly.root : this->reference(), rays_, tracing);
+        for (Trial* trial : trials) {
             const std::vector<Hit> hits =
-                self ? expected
-                     : trace_hits(*trial.built->assembly.root, checked_rays(trial), tracing);
-            trial.row.rays_checked = hits.size();
-            trial.row.hits = uint64_t(
+                trial == reference
+                    ? expected
+                    : trace_hits(*trial->built->assembly.root, checked_rays(*trial), tracing);
+            trial->row.rays_checked = hits.size();
+            trial->row.hits = uint64_t(
                 std::count_if(hits.begin(), hits.end(), [](const Hit& h) { return h.is_hit(); }));
-            trial.row.hits_checksum = checksum(hits);
-            trial.row.checked_against = spec_.run.check ? against : "";
-            if (!spec_.run.check || self) continue;
-            if (trial.built->spec->exact)
-                compare(trial, hits, expected, against, workload);
-            else
-                trial.row.depth_error = depth_error(trial, hits, expected);
+            trial->row.hits_checksum = checksum(hits);
+            const bool bits = promises_bits(*trial->built), coarse = !trial->built->spec->exact;
+            if (!spec_.run.check || (!bits && !coarse)) continue;
+            trial->row.checked_against = against;
+            if (coarse)
+                trial->row.depth_error = depth_error(*trial, hits, expected);
+            else if (trial != reference)
+                compare(*trial, hits, expected, against, workload);
+        }
+    }
+
+    /// Compares all variants with the truth on a sample of the rays.
+    void judge(std::vector<Trial>& trials, const WorkloadSpec& workload) {
+        progress_.step("asking the oracle: " + workload.name, true);
+        if (!oracle_) oracle_ = make_oracle(scene_, PlacementTruth::as_placed);
+        std::vector<Ray> rays;
+        for (const size_t i :
+             strided_sample(rays_.size(), size_t(spec_.run.oracle), workload.seed + 1))
+            rays.push_back(rays_[i]);
+        std::vector<exact::Answer> truths(rays.size());
+        parallel_for(rays.size(), 64, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) truths[i] = oracle_->closest(rays[i]);
+        });
+        for (Trial& trial : trials) {
+            const std::vector<Hit> hits =
+                trace_hits(*trial.built->assembly.root, rays, {any_, 0, *trial.built->spec->mode});
+            VerifyTally& tally = trial.row.oracle;
+            for (size_t i = 0; i < rays.size(); ++i) {
+                const exact::Judgement j =
+                    any_ ? oracle_->judge(rays[i], hits[i].is_hit(), truths[i])
+                         : oracle_->judge(rays[i], hits[i], truths[i]);
+                tally.add(j);
+                const bool right =
+                    j.kind == exact::Judgement::Kind::right && hits[i].is_hit() && !any_;
+                if (right) tally.t_ulp.add(j.t_ulp);
+            }
+            tally.rays = rays.size();
         }
     }
 
@@ -261,7 +319,7 @@ class Run {
                 const auto rays = timed_rays(trial);
                 double s = 0;
                 for (int i = 0; i < trial.inner; ++i)
-                    s += timed_pass(*trial.built->assembly.root, rays, timed_tracing());
+                    s += timed_pass(*trial.built->assembly.root, rays, timed_tracing(*trial.built));
                 trial.pass_ns.push_back(s * 1e9 / (double(rays.size()) * trial.inner));
                 trial.row.core = pinned.core();
             }
@@ -273,7 +331,7 @@ class Run {
         const WorkloadSpec& workload = spec_.workloads[index];
         const Primitive& root = *trial.built->assembly.root;
         Row& row = trial.row;
-        row.counters = counted_pass(root, checked_rays(trial), any_);
+        row.counters = counted_pass(root, checked_rays(trial), any_, *trial.built->spec->mode);
         row.ns_per_ray_raw = trial.pass_ns;
         row.ns_per_ray = median_interval(trial.pass_ns);
         row.rays = rays_.size();
@@ -291,6 +349,8 @@ class Run {
     void describe_variant(const Built& built, Row& row) const {
         row.scene = scene_.name;
         row.variant = built.spec->name;
+        row.mode = name_of(*built.spec->mode);
+        row.peer = built.spec->peer;
         row.accelerator = describe(*built.assembly.root);
         row.triangles = statistics_.triangles_unique;
         row.triangles_instanced = statistics_.triangles_instanced;
@@ -311,7 +371,7 @@ class Run {
         for (const std::string& text :
              {spec_.scene_canonical, built.spec->canonical, spec_.workload_canonical[workload],
               spec_.run_canonical, revision_text(),
-              std::to_string(built.spec->max_rays.value_or(0))})
+              std::to_string(built.spec->max_rays.value_or(0)), name_of(*built.spec->mode)})
             hash.add(text);
         for (const auto& [file, value] : inputs_) hash.add(value);
         return hash.hex();
@@ -322,7 +382,8 @@ class Run {
         const auto paths =
             hits_paths(hits_path_, trial.built->spec->name, workload.name, output_.rows.empty(),
                        spec_.variants.size() * spec_.workloads.size() > 1);
-        const std::vector<Hit> hits = trace_hits(*trial.built->assembly.root, rays_, {false, 0});
+        const std::vector<Hit> hits =
+            trace_hits(*trial.built->assembly.root, rays_, {false, 0, *trial.built->spec->mode});
         for (const std::string& path : paths) write_hits(path, hits);
     }
 
@@ -352,6 +413,14 @@ class Run {
                  heat_image(maps[i], highest));
     }
 
+    /// Time against error, over all workloads.
+    void plot() {
+        std::vector<Row> rows;
+        for (const Row& row : output_.rows)
+            if (row.scene == scene_.name && row.oracle.rays > 0) rows.push_back(row);
+        save("time-vs-error-" + file_name_of(scene_.name), error_plot(rows));
+    }
+
     /// Several experiments of one run may share the names of scene and variant.
     void save(const std::string& stem, const Image& image) {
         std::string file = stem + ".png";
@@ -377,6 +446,7 @@ class Run {
     double pixel_ = 0;  ///< angle of a pixel, radians
     std::vector<Built> built_;
     std::optional<Assembly> reference_;
+    std::optional<exact::Oracle> oracle_;
     std::vector<Ray> rays_;
     bool any_ = false;
 };

@@ -37,9 +37,14 @@ struct Bench {
     exact::Oracle oracle;
     std::vector<std::string> accelerators;
     std::vector<Assembly> assemblies;
+    Mode mode;
 
-    Bench(std::string scene_name, const Scene& scene, std::vector<std::string> names)
-        : name(std::move(scene_name)), oracle(make_oracle(scene)), accelerators(std::move(names)) {
+    Bench(std::string scene_name, const Scene& scene, std::vector<std::string> names, Mode m)
+        : name(std::move(scene_name)),
+          oracle(make_oracle(
+              scene, m == Mode::exact ? PlacementTruth::as_placed : PlacementTruth::composed)),
+          accelerators(std::move(names)),
+          mode(m) {
         for (const std::string& a : accelerators)
             assemblies.push_back(assemble(scene, uniform_plan(a)));
     }
@@ -58,14 +63,14 @@ class RayCheck {
         Hit first;
         for (size_t a = 0; a < bench_.accelerators.size(); ++a) {
             const Primitive& root = *bench_.assemblies[a].root;
-            const Hit hit = root.intersect(aimed_.ray);
-            const bool occluded = root.occluded(aimed_.ray);
+            const Hit hit = root.intersect(aimed_.ray, bench_.mode);
+            const bool occluded = root.occluded(aimed_.ray, bench_.mode);
             VerifyTally tally;
             tally.rays = 1;
             tally.hits = hit.is_hit();
             tally.leaks = aimed_.must_hit && (!hit.is_hit() || !occluded);
             if (a == 0) first = hit;
-            tally.disagreements = !(hit == first);
+            tally.disagreements = bench_.mode != Mode::fast && !(hit == first);
             const Judgement closest = judge(hit);
             const Judgement any = bench_.oracle.judge(aimed_.ray, occluded, truth_);
             tally.add(closest);
@@ -78,8 +83,8 @@ class RayCheck {
                                : closest.is_fault() ? to_string(closest.kind)
                                : any.is_fault()     ? to_string(any.kind)
                                                     : "disagreement";
-            failing.push_back(
-                {bench_.name, recipe, bench_.accelerators[a], kind, aimed_.ray, aimed_.must_hit});
+            failing.push_back({bench_.name, recipe, bench_.accelerators[a], kind, aimed_.ray,
+                               aimed_.must_hit, bench_.mode});
         }
     }
 
@@ -255,7 +260,7 @@ VerifyReport verify(const VerifyOptions& options, Progress& progress) {
             report.notes.push_back(fmt::format("{}: brute_force left out of a scene of {} shapes",
                                                names[s], statistics.shapes_instanced));
         }
-        const Bench bench(names[s], scene, used);
+        const Bench bench(names[s], scene, used, options.mode);
         AimPoints aim(scene);
         Pcg32 rng(mix(options.seed), s);
         aim.find_inside(bench.oracle, rng);
@@ -282,7 +287,7 @@ VerifyReport replay(const std::vector<FailingRay>& rays, Progress& progress) {
         progress.step("replaying " + first.scene);
         const auto same = [&](const FailingRay& r) {
             return r.scene == first.scene && r.accelerator == first.accelerator &&
-                   r.recipe == first.recipe;
+                   r.recipe == first.recipe && r.mode == first.mode;
         };
         std::vector<AimedRay> batch;
         size_t end = begin;
@@ -290,7 +295,8 @@ VerifyReport replay(const std::vector<FailingRay>& rays, Progress& progress) {
             batch.push_back({rays[end].ray, rays[end].must_hit});
         std::vector<std::string> used{"brute_force"};
         if (first.accelerator != used[0]) used.push_back(first.accelerator);
-        const Bench bench(first.scene, verify_scene(first.scene), checked_accelerators(used));
+        const Bench bench(first.scene, verify_scene(first.scene), checked_accelerators(used),
+                          first.mode);
         verification.begin(bench, first.recipe);
         verification.check(bench, first.recipe, batch);
         begin = end;

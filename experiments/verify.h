@@ -8,6 +8,7 @@
 
 #include "experiments/progress.h"
 #include "framework/exact.h"
+#include "framework/mode.h"
 #include "framework/ray.h"
 #include "scenegraph/scene.h"
 
@@ -18,6 +19,9 @@ struct VerifyOptions {
     std::vector<std::string> accelerators;  ///< empty: all
     uint64_t rays = 100000;  ///< in all, spread evenly over scenes and recipes; at least one each
     uint64_t seed = 1;
+    /// Of the queries. For `exact` the oracle gets triangles as they are placed, which is what that
+    /// mode is exact about. In `fast` bits may differ.
+    Mode mode = Mode::robust;
 };
 
 /// Counts of errors in t, in ulp: see exact::Judgement.
@@ -70,6 +74,7 @@ struct FailingRay {
     std::string scene, recipe, accelerator, kind;
     Ray ray;
     bool must_hit = false;
+    Mode mode = Mode::robust;
 };
 
 struct VerifyReport {

@@ -161,8 +161,10 @@ std::string verify_json(const VerifyReport& report) {
 void write_failing(const std::string& file, const std::vector<FailingRay>& rays) {
     std::ofstream out(file);
     for (const FailingRay& f : rays) {
-        const Json json{{"scene", f.scene}, {"recipe", f.recipe},    {"accelerator", f.accelerator},
-                        {"kind", f.kind},   {"ray", bits_of(f.ray)}, {"must_hit", f.must_hit}};
+        const Json json{
+            {"scene", f.scene},       {"recipe", f.recipe},    {"accelerator", f.accelerator},
+            {"kind", f.kind},         {"ray", bits_of(f.ray)}, {"must_hit", f.must_hit},
+            {"mode", name_of(f.mode)}};
         out << json.dump(-1, ' ', false, Json::error_handler_t::replace) << "\n";
     }
     out.flush();
@@ -179,7 +181,8 @@ std::vector<FailingRay> read_failing(const std::string& file) {
         try {
             const Json json = Json::parse(line);
             rays.push_back({json.at("scene"), json.at("recipe"), json.at("accelerator"),
-                            json.at("kind"), ray_of(json.at("ray")), json.at("must_hit")});
+                            json.at("kind"), ray_of(json.at("ray")), json.at("must_hit"),
+                            mode_named(json.value("mode", "robust")).value()});
         } catch (const std::exception&) {
             throw InputError(fmt::format("{}:{}: not a line of a file that `crofton verify` wrote",
                                          file, number));

@@ -17,6 +17,11 @@ std::map<std::string, AcceleratorInfo>& table() {
     return entries;
 }
 
+std::map<std::string, AcceleratorInfo>& peer_table() {
+    static std::map<std::string, AcceleratorInfo> entries;
+    return entries;
+}
+
 const char* type_name(const ParameterValue& v) {
     static constexpr const char* names[] = {"a boolean", "an integer", "a number", "a string"};
     return names[v.index()];
@@ -113,6 +118,17 @@ const ParameterInfo* AcceleratorInfo::find(const std::string& parameter) const {
 }
 
 const std::map<std::string, AcceleratorInfo>& accelerators() { return table(); }
+const std::map<std::string, AcceleratorInfo>& peers() { return peer_table(); }
+
+void register_peer(AcceleratorInfo info) {
+    if (info.build)
+        info.build = [inner = std::move(info.build), all = info.parameters](
+                         const PrimitiveSet& set, const ParameterValues& values) {
+            return inner(set, checked(all, values));
+        };
+    const std::string name = info.name;
+    peer_table().emplace(name, std::move(info));
+}
 
 std::vector<std::string> accelerator_names() {
     std::vector<std::string> names;
@@ -121,6 +137,7 @@ std::vector<std::string> accelerator_names() {
 }
 
 const AcceleratorInfo& accelerator(const std::string& name) {
+    if (const auto peer = peer_table().find(name); peer != peer_table().end()) return peer->second;
     const auto it = table().find(name);
     if (it == table().end())
         throw InputError(unknown_name("accelerator", name, accelerator_names()));

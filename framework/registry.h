@@ -53,8 +53,14 @@ struct AcceleratorInfo {
     const ParameterInfo* find(const std::string& parameter) const;
 };
 
-/// All accelerators linked into the program, by name.
+/// All accelerators linked into the program, by name; peers are not among them.
 const std::map<std::string, AcceleratorInfo>& accelerators();
+/// Structures of other libraries to compare with, by name, if the program was built with them. They
+/// can stand wherever an accelerator can but promise nothing: neither our bits nor our modes.
+const std::map<std::string, AcceleratorInfo>& peers();
+void register_peer(AcceleratorInfo info);
+
+/// An accelerator or a peer.
 /// @throws InputError  unknown accelerator, with the nearest valid name
 const AcceleratorInfo& accelerator(const std::string& name);
 std::vector<std::string> accelerator_names();

@@ -4,6 +4,7 @@
 #include <fstream>
 
 #include "experiments/experiment.h"
+#include "experiments/peers.h"
 #include "experiments/sweep.h"
 #include "framework/error.h"
 #include "tests/catch.h"
@@ -206,6 +207,36 @@ TEST_CASE("config: the resolved config reads back as the same config") {
           file.experiments.at(0).variants.at(1).canonical);
 }
 
+TEST_CASE("config: a mode is that of the run, unless a variant has its own") {
+    const std::string two =
+        "[[variant]]\nname = \"a\"\n[[variant]]\nname = \"b\"\nmode = \"exact\"\n";
+    const auto modes = [](const ExperimentFile& file) {
+        std::vector<Mode> list;
+        for (const Variant& v : file.experiments.at(0).variants) list.push_back(v.mode.value());
+        return list;
+    };
+    using List = std::vector<Mode>;
+    CHECK(modes(read(scene + two)) == List{Mode::robust, Mode::exact});
+    CHECK(modes(read(scene + two + "[run]\nmode = \"double\"\n")) ==
+          List{Mode::double_precision, Mode::exact});
+    CHECK(error_of(scene + "[run]\nmode = \"robus\"\n").find("did you mean 'robust'") !=
+          std::string::npos);
+    CHECK(error_of(scene + "[[variant]]\nname = \"a\"\nmode = \"exakt\"\n")
+              .find("did you mean 'exact'") != std::string::npos);
+    CHECK(error_of(scene + "[run]\nplot = true\n").find("needs 'oracle'") != std::string::npos);
+}
+
+TEST_CASE("config: a peer is known by name, and told from our structures") {
+    register_peers();
+    const ExperimentFile file = read(scene +
+                                     "[accelerator.other]\ntype = \"embree\"\nrobust = true\n"
+                                     "[[variant]]\nname = \"a\"\ntop = \"other\"\nflatten = true\n"
+                                     "[[variant]]\nname = \"b\"\nflatten = true\n");
+    CHECK(file.experiments.at(0).variants.at(0).peer);
+    CHECK_FALSE(file.experiments.at(0).variants.at(1).peer);
+    CHECK(file.experiments.at(0).variants.at(1).available);
+}
+
 TEST_CASE("config: a scene file that does not exist is refused with what was tried") {
     CHECK(error_of("[scene]\nfile = [\"no1.obj\", \"no2.obj\"]\n")
               .find("test.toml:2:8: file: 'no1.obj', 'no2.obj': none exists") == 0);
@@ -213,6 +244,7 @@ TEST_CASE("config: a scene file that does not exist is refused with what was tri
 }
 
 TEST_CASE("config: the configs that ship are valid") {
+    register_peers();
     const std::string folder = std::string(CROFTON_SOURCE_DIR) + "/experiments/configs";
     for (const auto& entry : std::filesystem::directory_iterator(folder)) {
         INFO(entry.path().string());

@@ -1,5 +1,6 @@
 #include "experiments/statistics.h"
 
+#include "experiments/plot.h"
 #include "experiments/random.h"
 #include "tests/catch.h"
 
@@ -44,4 +45,11 @@ TEST_CASE(
     // Four standard deviations of a binomial with 4000 trials.
     CHECK(double(covered) / trials ==
           Approx(claimed).margin(4 * std::sqrt(claimed * (1 - claimed) / trials)));
+}
+
+TEST_CASE("statistics: the Pareto front holds what nothing beats in time and error") {
+    using Point = Eigen::Vector2d;
+    const std::vector<Point> points{{3, 0}, {1, 5}, {2, 5}, {2, 4}, {4, 0}, {5, 9}, {1, 7}};
+    CHECK(pareto_front(points) == std::vector<size_t>{1, 3, 0});
+    CHECK(pareto_front({}).empty());
 }

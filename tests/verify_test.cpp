@@ -18,7 +18,12 @@ namespace {
 
 VerifyOptions of(std::string scene, std::vector<std::string> accelerators, uint64_t rays = 100,
                  uint64_t seed = 1) {
-    return {std::move(scene), std::move(accelerators), rays, seed};
+    VerifyOptions options;
+    options.scene = std::move(scene);
+    options.accelerators = std::move(accelerators);
+    options.rays = rays;
+    options.seed = seed;
+    return options;
 }
 
 std::string error_of(const VerifyOptions& options) {
@@ -76,6 +81,27 @@ TEST_CASE("verify: what was a fault once is none in any accelerator") {
     CHECK(report.faults() == 0);
 }
 
+TEST_CASE(
+    "verify: the other modes have no fault in the catalogue either, and exact is never wrong") {
+    for (const Mode mode : {Mode::double_precision, Mode::exact}) {
+        VerifyOptions options = of("", {}, 3000, 8);
+        options.mode = mode;
+        const VerifyReport report = run(options);
+        INFO(name_of(mode) << "\n" << kinds(report));
+        CHECK(report.faults() == 0);
+    }
+    VerifyOptions options = of("catalogue:ball", {"bvh", "kdtree"}, 5000, 9);
+    options.mode = Mode::exact;
+    const VerifyReport report = run(options);
+    for (const VerifyCase& c : report.cases)
+        for (const VerifyTally& t : c.tallies) {
+            CHECK(t.false_misses == VerifyTally::Split{});
+            CHECK(t.false_hits == VerifyTally::Split{});
+            CHECK(t.wrong_primitives == VerifyTally::Split{});
+            CHECK(t.t_ulp.largest() == 0);
+        }
+}
+
 TEST_CASE("verify: the same seed gives the same figures, with one thread and with two") {
     const VerifyOptions options = of("catalogue:ball", {}, 3000, 5);
     set_threads(1);
@@ -108,6 +134,7 @@ TEST_CASE("verify: failing rays are written and read back bit for bit, and a lea
                {{nan, -0.0f, 1e-45f}, 0, {0, 0, 1}},
                false};
     ScratchFile file("rays.jsonl", "");
+    rays[0].mode = Mode::exact;
     write_failing(file.path(), rays);
     const std::vector<FailingRay> read = read_failing(file.path());
     REQUIRE(read.size() == 2);
@@ -115,6 +142,7 @@ TEST_CASE("verify: failing rays are written and read back bit for bit, and a lea
     CHECK(std::signbit(read[1].ray.origin[1]));
     CHECK(read[1].ray.origin[2] == 1e-45f);
     CHECK(read[0].must_hit);
+    CHECK(read[0].mode == Mode::exact);
     // The first ray misses the ball: said to come from its inside, it would be a leak.
     Progress quiet(true);
     const VerifyReport report = replay(file.path(), quiet);
