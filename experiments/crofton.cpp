@@ -65,7 +65,7 @@ struct RenderArguments : StructureArguments {
 struct VerifyArguments {
     VerifyOptions options;
     std::string accelerators, mode = "robust", replay, minimised,
-                failures = "verify_failures.jsonl";
+                              failures = "verify_failures.jsonl";
     bool json = false, quiet = false;
 };
 
