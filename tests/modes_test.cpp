@@ -189,11 +189,21 @@ TEST_CASE("modes: two sheets a fraction of an ulp of t apart are told apart by e
 }
 
 TEST_CASE("modes: fast is right outside its margin") {
+    // Smaller triangles are outside of the range that it states.
+    const auto in_range = [](const PrimitiveSet& any) {
+        const auto* set = std::get_if<std::shared_ptr<const TriangleSet>>(&any);
+        for (uint32_t i = 0; set && i < (*set)->size(); ++i) {
+            if (!(*set)->active(i)) continue;
+            const float size = (*set)->bounds(i).extent().maxCoeff();
+            if (size > 0 && size < 1e-14f) return false;
+        }
+        return true;
+    };
     for (const test::HardScene& scene : test::hard_scenes()) {
         const auto oracle = oracle_of(scene.set);
-        if (!oracle) continue;
+        if (!oracle || !in_range(scene.set)) continue;
         const auto tested = accelerator("bvh").build(scene.set, {});
-        size_t wide = 0, wrong = 0;
+        size_t wrong = 0;
         for (const Ray& ray : scene.rays) {
             const float length = ray.direction.norm();
             if (!(length > 1e-6f && length < 1e6f)) continue;
@@ -201,11 +211,10 @@ TEST_CASE("modes: fast is right outside its margin") {
             const exact::Answer truth = oracle->closest(ray);
             if (truth.is_hit() && !(truth.t() < 1e15f)) continue;
             const Hit hit = tested->intersect(ray, Mode::fast);
-            ++wide;
             wrong += hit.is_hit() ? !truth.has(hit) : truth.is_hit();
         }
         INFO(scene.name);
-        CHECK(wrong <= wide / 1000);
+        CHECK(wrong == 0);
     }
 }
 
