@@ -209,6 +209,8 @@ std::string assembly_text(const Assembly& assembly, size_t limit) {
                     assembly.build_s, double(s.bytes) / 1e6);
     text += fmt::format("  {} inner nodes, {} cells ({} empty), {} references, depth {}\n", s.N_IN,
                         s.N_V, s.N_EV, s.N_OIV, s.depth);
+    text += fmt::format("  expected: {:.1f} nominal ns for a line that meets the bounds\n",
+                        assembly.root->expected_cost());
     if (assembly.opened > 0)
         text += fmt::format("  {} objects opened into {} parts\n", assembly.opened, assembly.parts);
     size_t lines = 0;
