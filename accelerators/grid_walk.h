@@ -17,15 +17,23 @@ HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
 
+/// What fills spare lanes: no test accepts NaN.
+alignas(16) inline constexpr TriangleRecord no_triangle = [] {
+    TriangleRecord r{};
+    for (auto& corner : r.corner)
+        for (float& x : corner) x = std::numeric_limits<float>::quiet_NaN();
+    return r;
+}();
+
 /// Up to four triangles into a block: per corner four loads and a transpose, which brings the
-/// indices along.
+/// indices along. A triangle in two lanes would be recorded twice where it is hit.
 HWY_INLINE void load_records(const TriangleRecord* records, const uint32_t* references,
                              uint32_t count, TriangleBlock<4>& block) {
     const hn::FixedTag<float, 4> d;
     const hn::FixedTag<double, 2> d2;
     const hn::FixedTag<uint32_t, 4> du;
     const TriangleRecord* r[4];
-    for (uint32_t i = 0; i < 4; ++i) r[i] = records + references[i < count ? i : 0];
+    for (uint32_t i = 0; i < 4; ++i) r[i] = i < count ? records + references[i] : &no_triangle;
     for (int k = 0; k < 3; ++k) {
         const auto a = hn::Load(d, r[0]->corner[k]), b = hn::Load(d, r[1]->corner[k]);
         const auto e = hn::Load(d, r[2]->corner[k]), f = hn::Load(d, r[3]->corner[k]);
@@ -52,7 +60,6 @@ HWY_INLINE bool test_stored(const ShapeStore<Set>& store, const Set& set,
         counters.test(count);
         TriangleBlock<4> block;
         for (uint32_t i = 0; i < count; i += 4) {
-            // Spare lanes repeat the first triangle: a tie with itself changes nothing.
             load_records(store.records(), references + i, count - i, block);
             if (test_blocks<Q>(set, &block, 1, ray, q)) return true;
         }
@@ -60,50 +67,130 @@ HWY_INLINE bool test_stored(const ShapeStore<Set>& store, const Set& set,
     }
 }
 
+/// Three doubles: x and y in one vector, z in both lanes of another.
+struct Triple {
+    using D = hn::FixedTag<double, 2>;
+    using V = hn::Vec<D>;
+    V xy, z;
+
+    static HWY_INLINE Triple load(const double* p) {
+        return {hn::LoadU(D(), p), hn::Set(D(), p[2])};
+    }
+    static HWY_INLINE Triple load(const float* p) {
+        return {hn::PromoteTo(D(), hn::LoadU(hn::FixedTag<float, 2>(), p)),
+                hn::Set(D(), double(p[2]))};
+    }
+    static HWY_INLINE Triple load(const int* p) {
+        return {hn::PromoteTo(D(), hn::LoadU(hn::FixedTag<int32_t, 2>(), p)),
+                hn::Set(D(), double(p[2]))};
+    }
+    static HWY_INLINE Triple all(double x) { return {hn::Set(D(), x), hn::Set(D(), x)}; }
+    HWY_INLINE void store(double* p) const {
+        hn::StoreU(xy, D(), p);
+        p[2] = hn::GetLane(z);
+    }
+    HWY_INLINE double least() const {
+        const V m = hn::Min(xy, z);
+        return hn::GetLane(hn::Min(m, hn::Shuffle01(m)));
+    }
+    HWY_INLINE double greatest() const {
+        const V m = hn::Max(xy, z);
+        return hn::GetLane(hn::Max(m, hn::Shuffle01(m)));
+    }
+    HWY_INLINE Triple operator+(const Triple& b) const {
+        return {hn::Add(xy, b.xy), hn::Add(z, b.z)};
+    }
+    HWY_INLINE Triple operator-(const Triple& b) const {
+        return {hn::Sub(xy, b.xy), hn::Sub(z, b.z)};
+    }
+    HWY_INLINE Triple operator*(const Triple& b) const {
+        return {hn::Mul(xy, b.xy), hn::Mul(z, b.z)};
+    }
+};
+HWY_INLINE Triple least_of(const Triple& a, const Triple& b) {
+    return {hn::Min(a.xy, b.xy), hn::Min(a.z, b.z)};
+}
+HWY_INLINE Triple greatest_of(const Triple& a, const Triple& b) {
+    return {hn::Max(a.xy, b.xy), hn::Max(a.z, b.z)};
+}
+HWY_INLINE Triple magnitude_of(const Triple& a) { return {hn::Abs(a.xy), hn::Abs(a.z)}; }
+HWY_INLINE Triple floor_of(const Triple& a) { return {hn::Floor(a.xy), hn::Floor(a.z)}; }
+
+/// A truth for each of three.
+struct TripleMask {
+    hn::Mask<Triple::D> xy, z;
+    HWY_INLINE Triple choose(const Triple& yes, const Triple& no) const {
+        return {hn::IfThenElse(xy, yes.xy, no.xy), hn::IfThenElse(z, yes.z, no.z)};
+    }
+    HWY_INLINE bool all() const {
+        return hn::AllTrue(Triple::D(), xy) & hn::AllTrue(Triple::D(), z);
+    }
+};
+HWY_INLINE TripleMask less(const Triple& a, const Triple& b) {
+    return {hn::Lt(a.xy, b.xy), hn::Lt(a.z, b.z)};
+}
+HWY_INLINE TripleMask at_most(const Triple& a, const Triple& b) {
+    return {hn::Le(a.xy, b.xy), hn::Le(a.z, b.z)};
+}
+
 /// The exact ray in double, with what all grids of a structure need of it.
 struct ExactRay {
+    // Stored as vectors, since they are loaded as such at once.
     double origin[3], direction[3];
     double inverse[3];  ///< inf where the direction is 0
     double reach[3];    ///< the ray's share of GridSpace::reach
     double t_min;       ///< lowered by what the t of a leaf test may be off
+    /// -1 where the ray goes down an axis, 0 elsewhere; as flips of the bits of a block.
+    int down[3];
+    uint32_t flip = 0;
 
-    ExactRay(const LocalRay& ray, const RayQuery& q) {
-        for (int a = 0; a < 3; ++a) {
-            origin[a] = ray.origin[a];
-            direction[a] = ray.direction[a] + 0.0;  // -0 becomes 0
-            inverse[a] = 1 / direction[a];
-            reach[a] = ray.pad[a] + 0x1p-21 * std::abs(origin[a]);
-        }
+    HWY_INLINE ExactRay(const LocalRay& ray, const RayQuery& q) {
+        const Triple zero = Triple::all(0);
+        const Triple o = Triple::load(ray.origin);
+        const Triple d = Triple::load(ray.direction) + zero;  // -0 becomes 0
+        const V one = hn::Set(Triple::D(), 1.0);
+        const Triple r = Triple::load(ray.pad) + Triple::all(0x1p-21) * magnitude_of(o);
+        o.store(origin);
+        d.store(direction);
+        Triple{hn::Div(one, d.xy), hn::Div(one, d.z)}.store(inverse);
+        r.store(reach);
         t_min = q.t_low;
+        for (int a = 0; a < 3; ++a) {
+            down[a] = -int(ray.direction[a] < 0);
+            flip |= uint32_t(down[a]) & 3u << (2 * a);
+        }
     }
     /// Whether a walk along the exact ray finds all that a leaf test may accept in this grid.
-    bool fits(const GridSpace& grid) const {
-        const double share = 0x1p-21 * grid.magnitude;
-        return (reach[0] + share <= grid.margin[0]) & (reach[1] + share <= grid.margin[1]) &
-               (reach[2] + share <= grid.margin[2]);
+    HWY_INLINE bool fits(const GridSpace& grid) const {
+        const Triple share = Triple::all(0x1p-21 * grid.magnitude);
+        return at_most(Triple::load(reach) + share, Triple::load(grid.margin)).all();
     }
     double at(double t, int axis) const { return origin[axis] + t * direction[axis]; }
+
+  private:
+    using V = Triple::V;
 };
 
 /// Where the ray is inside the grid's box: the exact ray, or as thick as it is.
 /// @return whether it is within [t_min, t_cull]; 0·∞ at a plane drops out of the comparisons
 HWY_INLINE bool meets_grid(const GridSpace& grid, const ExactRay& ray, const LocalRay& local,
                            bool thick, const RayQuery& q, double& t_enter, double& t_leave) {
-    double reach[3] = {0, 0, 0};
-    if (HWY_UNLIKELY(thick))
+    Triple lower = Triple::load(grid.box.lower.data()), upper = Triple::load(grid.box.upper.data());
+    if (HWY_UNLIKELY(thick)) {
+        double reach[3];
         for (int a = 0; a < 3; ++a) reach[a] = grid.reach(local, a);
-    double enter = ray.t_min, leave = q.t_cull;
-    for (int a = 0; a < 3; ++a) {
-        const double t0 = (double(grid.box.lower[a]) - reach[a] - ray.origin[a]) * ray.inverse[a];
-        const double t1 = (double(grid.box.upper[a]) + reach[a] - ray.origin[a]) * ray.inverse[a];
-        const bool down = ray.direction[a] < 0;
-        enter = std::max(enter, down ? t1 : t0);
-        leave = std::min(leave, down ? t0 : t1);
+        lower = lower - Triple::load(reach);
+        upper = upper + Triple::load(reach);
     }
-    t_enter = enter;
-    t_leave = leave;
+    const Triple origin = Triple::load(ray.origin), inverse = Triple::load(ray.inverse);
+    const Triple t0 = (lower - origin) * inverse, t1 = (upper - origin) * inverse;
+    const TripleMask down = less(inverse, Triple::all(0));
+    const Triple first = down.choose(t1, t0), last = down.choose(t0, t1);
+    const Triple t_min = Triple::all(ray.t_min), t_max = Triple::all(double(q.t_cull));
+    t_enter = less(t_min, first).choose(first, t_min).greatest();
+    t_leave = less(last, t_max).choose(last, t_max).least();
     // A ray that runs beside the box enters it at infinity, which t_cull may be.
-    return enter <= leave && enter < std::numeric_limits<double>::infinity();
+    return t_enter <= t_leave && t_enter < std::numeric_limits<double>::infinity();
 }
 
 /// Follows the exact ray through a grid in blocks, cell by cell (3D-DDA: Amanatides & Woo 1987),
@@ -114,34 +201,49 @@ HWY_INLINE bool meets_grid(const GridSpace& grid, const ExactRay& ray, const Loc
 /// edge stands in the cells around it, by their margin. The t of a plane is a linear function of
 /// its index, never a sum, so that no error adds up and the ray cannot step out of the grid.
 class BlockWalk {
-    using D = hn::FixedTag<double, 2>;
-    using V = hn::Vec<D>;
+    using D = Triple::D;
+    using V = Triple::V;
 
   public:
-    BlockWalk(const GridSpace& grid, const CellBlock* blocks, const ExactRay& ray, double t_enter)
+    HWY_INLINE BlockWalk(const GridSpace& grid, const CellBlock* blocks, const ExactRay& ray,
+                         double t_enter)
         : blocks_(blocks) {
-        constexpr double infinity = std::numeric_limits<double>::infinity();
-        double exit = infinity;
         ptrdiff_t stride = 1;
+        int padded[3];  // cells, with those that fill the last block
         for (int a = 0; a < 3; ++a) {
-            const int n = blocks_along(grid.resolution[a]);
-            const int i = grid.index(a, ray.at(t_enter, a));
-            const double zero = (grid.lower[a] - ray.origin[a]) * ray.inverse[a];
-            const double pace = grid.cell[a] * ray.inverse[a];
-            const bool down = ray.direction[a] < 0, still = ray.direction[a] == 0;
-            const int end = down ? 4 * n : grid.resolution[a];
-            zero_[a] = still ? infinity : down ? zero + 4 * n * pace : zero;
-            pace_[a] = still ? 0 : std::abs(pace);
-            rate_[a] = std::abs(ray.direction[a]) * grid.inverse_cell[a];
-            exit = std::min(exit, zero_[a] + end * pace_[a]);
-            last_[a] = end - 1;
-            pos_ |= uint64_t(down ? 4 * n - 1 - i : i) << (bits * a);
-            flip_ |= down ? 3u << (2 * a) : 0u;
-            blocks_ += down ? (n - 1) * stride : 0;
-            stride_[a] = down ? -stride : stride;
+            const ptrdiff_t n = blocks_along(grid.resolution[a]), down = ray.down[a];
+            padded[a] = int(4 * n);
+            blocks_ += down & ((n - 1) * stride);
+            stride_[a] = (stride ^ down) - down;
             stride *= n;
         }
-        exit_ = exit;
+        flip_ = ray.flip;
+
+        const Triple none = Triple::all(0), one = Triple::all(1);
+        const Triple lower = Triple::load(grid.lower), rate = Triple::load(grid.inverse_cell);
+        const Triple origin = Triple::load(ray.origin), direction = Triple::load(ray.direction);
+        const Triple inverse = Triple::load(ray.inverse);
+        const Triple n = Triple::load(grid.resolution.data());
+        const Triple beyond = {hn::ConcatLowerLower(D(), hn::Set(D(), double(padded[1])),
+                                                    hn::Set(D(), double(padded[0]))),
+                               hn::Set(D(), double(padded[2]))};
+        const TripleMask down = less(direction, none);
+        const Triple speed = magnitude_of(direction);
+        const TripleMask moves = less(none, speed);
+
+        const Triple zero = (lower - origin) * inverse;
+        const Triple pace = Triple::load(grid.cell) * inverse;
+        pace_ = moves.choose(magnitude_of(pace), none);
+        zero_ = moves.choose(down.choose(zero + beyond * pace, zero),
+                             Triple::all(std::numeric_limits<double>::infinity()));
+        rate_ = speed * rate;
+        const Triple end = down.choose(beyond, n);
+        exit_ = (zero_ + end * pace_).least();
+        last_ = end - one;
+
+        const Triple at = (origin + Triple::all(t_enter) * direction - lower) * rate;
+        const Triple cell = floor_of(least_of(greatest_of(at, none), n - one));
+        stand_at(down.choose(beyond - one - cell, cell));
     }
 
     /// @param visit  visit(place of the cell's code) -> bool: the query is answered, stop
@@ -150,19 +252,8 @@ class BlockWalk {
     template <class C, class Visit>
     HWY_INLINE bool run(bool skip, const RayQuery& q, C& counters, Visit&& visit) {
         const D d;
-        const V one = hn::Set(d, 1.0);
-        const V zero_xy = hn::LoadU(d, zero_), pace_xy = hn::LoadU(d, pace_);
-        const V zero_z = hn::Set(d, zero_[2]), pace_z = hn::Set(d, pace_[2]);
-        // The plane behind the cell, the one behind it, and their t. Both lanes of z are the same.
-        V plane_xy, plane_z, next_xy, next_z;
-        const auto set_planes = [&] {
-            plane_xy =
-                hn::ConcatLowerLower(d, hn::Set(d, along(1) + 1.0), hn::Set(d, along(0) + 1.0));
-            plane_z = hn::Set(d, along(2) + 1.0);
-            next_xy = hn::Add(zero_xy, hn::Mul(plane_xy, pace_xy));
-            next_z = hn::Add(zero_z, hn::Mul(plane_z, pace_z));
-        };
-        set_planes();
+        const Triple one = Triple::all(1);
+        Triple next = zero_ + plane_ * pace_;
         double t_cull = q.t_cull;
         while (true) {
             const uint32_t x = along(0), y = along(1), z = along(2);
@@ -178,24 +269,22 @@ class BlockWalk {
                 counters.cell(true);
                 if (block.occupied == 0 && skip) {
                     if (!jump(block.clear, t_cull)) return false;
-                    set_planes();
+                    next = zero_ + plane_ * pace_;
                     continue;
                 }
             }
-            const V after_xy = hn::Add(zero_xy, hn::Mul(hn::Add(plane_xy, one), pace_xy));
-            const V after_z = hn::Add(zero_z, hn::Mul(hn::Add(plane_z, one), pace_z));
-            V t = hn::Min(next_xy, next_z);
+            const Triple plane = plane_ + one;
+            const Triple after = zero_ + plane * pace_;
+            V t = hn::Min(next.xy, next.z);
             t = hn::Min(t, hn::Shuffle01(t));
             const double t_step = hn::GetLane(t);
             if (t_step >= exit_ || t_step > t_cull) return false;
-            const auto on_xy = hn::Eq(next_xy, t), on_z = hn::Eq(next_z, t);
-            next_xy = hn::IfThenElse(on_xy, after_xy, next_xy);
-            next_z = hn::IfThenElse(on_z, after_z, next_z);
-            plane_xy = hn::Add(plane_xy, hn::IfThenElseZero(on_xy, one));
-            plane_z = hn::Add(plane_z, hn::IfThenElseZero(on_z, one));
+            const TripleMask passed = {hn::Eq(next.xy, t), hn::Eq(next.z, t)};
+            next = passed.choose(after, next);
+            plane_ = passed.choose(plane, plane_);
             uint8_t xy[8], zz[8];
-            hn::StoreMaskBits(d, on_xy, xy);
-            hn::StoreMaskBits(d, on_z, zz);
+            hn::StoreMaskBits(d, passed.xy, xy);
+            hn::StoreMaskBits(d, passed.z, zz);
             static constexpr uint64_t moves[4] = {0, 1, uint64_t(1) << bits,
                                                   1 | uint64_t(1) << bits};
             pos_ += moves[xy[0] & 3] + (uint64_t(zz[0] & 1) << (2 * bits));
@@ -207,37 +296,42 @@ class BlockWalk {
 
     uint32_t along(int a) const { return uint32_t(pos_ >> (bits * a)) & ((1u << bits) - 1); }
 
+    /// @param cell  the way the ray goes; whole numbers
+    HWY_INLINE void stand_at(const Triple& cell) {
+        plane_ = cell + Triple::all(1);
+        pos_ = uint64_t(int64_t(hn::GetLane(cell.xy))) |
+               uint64_t(int64_t(hn::GetLane(hn::Shuffle01(cell.xy)))) << bits |
+               uint64_t(int64_t(hn::GetLane(cell.z))) << (2 * bits);
+    }
+
     /// To where the ray leaves the cube of empty blocks around this one (after the proximity clouds
     /// of Cohen & Sheffer 1994). Without a division: `rate_` is cells per t.
     /// @return whether that is inside the grid and not behind the best hit
     HWY_INLINE bool jump(uint32_t clear, double t_cull) {
-        double end[3], out[3];
-        for (int a = 0; a < 3; ++a) {
-            end[a] = double((along(a) | 3) + 1 + 4 * clear);
-            out[a] = zero_[a] + end[a] * pace_[a];
-        }
-        const double t = std::min({out[0], out[1], out[2]});
+        const Triple one = Triple::all(1), cell = plane_ - one;
+        const Triple end = floor_of(cell * Triple::all(0.25)) * Triple::all(4) +
+                           Triple::all(4 + 4 * double(clear));
+        const Triple out = zero_ + end * pace_;
+        const double t = out.least();
         if (t >= exit_ || t > t_cull) return false;
-        uint64_t pos = 0;
-        for (int a = 0; a < 3; ++a) {
-            // The cell at t; not before this one, nor beyond the cube unless it is left there.
-            const double at = pace_[a] > 0 ? (t - zero_[a]) * rate_[a] : 0;
-            const double most = out[a] <= t ? end[a] : std::min(end[a] - 1, last_[a]);
-            const double least = out[a] <= t ? end[a] : double(along(a));
-            pos |= uint64_t(int64_t(std::min(std::max(at, least), most))) << (bits * a);
-        }
-        pos_ = pos;
+        // The cell at t; not before this one, nor beyond the cube unless it is left there.
+        const Triple none = Triple::all(0), now = Triple::all(t);
+        const Triple at = less(none, pace_).choose((now - zero_) * rate_, none);
+        const TripleMask left = at_most(out, now);
+        const Triple most = left.choose(end, least_of(end - one, last_));
+        stand_at(floor_of(least_of(greatest_of(at, left.choose(end, cell)), most)));
         return true;
     }
 
-    const CellBlock* blocks_;   ///< the first one of the ray's octant
-    uint64_t pos_ = 0;          ///< of the cell, the way the ray goes: x, y, z
-    uint32_t flip_ = 0;         ///< from there to the bit of the cell
-    double exit_;               ///< where the ray leaves the grid
-    double zero_[3], pace_[3];  ///< t of plane i is zero + i·pace; d = 0: zero is infinity
-    double rate_[3];            ///< cells per t
-    double last_[3];            ///< cell of the grid
-    ptrdiff_t stride_[3];       ///< of blocks
+    const CellBlock* blocks_;  ///< the first one of the ray's octant
+    uint64_t pos_ = 0;         ///< of the cell, the way the ray goes: x, y, z
+    uint32_t flip_;            ///< from there to the bit of the cell
+    double exit_;              ///< where the ray leaves the grid
+    Triple plane_;             ///< index of the planes behind the cell
+    Triple zero_, pace_;       ///< t of plane i is zero + i·pace; d = 0: zero is infinity
+    Triple rate_;              ///< cells per t
+    Triple last_;              ///< cell of the grid
+    ptrdiff_t stride_[3];      ///< of blocks
 };
 
 /// The same for a ray thicker than the margins of the cells.

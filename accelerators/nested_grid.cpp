@@ -23,33 +23,38 @@ class NestedGridWalk {
     /// narrow margins. The depth of the recursion is that of the structure.
     bool enter(uint32_t index) {
         const NestedGridHeader& grid = nested_.grids[index];
-        const CellBlock* blocks = nested_.blocks.data() + grid.first_block;
-        const bool thick = !exact_.fits(grid.space);
+        if (HWY_UNLIKELY(!exact_.fits(grid.space))) return enter_thick(grid);
         double t_enter, t_leave;
-        if (!meets_grid(grid.space, exact_, ray_, thick, q_, t_enter, t_leave)) return false;
-        const auto visit = [&](uint32_t place) HWY_ATTR {
-            const uint32_t code = nested_.words[place];
-            if (code & nested_cell::grid_flag) return enter(code & ~nested_cell::grid_flag);
-            counters_.cell(false);
-            if (code & list_code::single_flag) {
-                const uint32_t reference = code & ~list_code::single_flag;
-                return test_shapes_of(&reference, 1);
-            }
-            return test_list(nested_.words.data() + code);
-        };
+        if (!meets_grid(grid.space, exact_, ray_, false, q_, t_enter, t_leave)) return false;
         // The box is a margin larger than what is in it, so that the exact ray is inside it
         // wherever a shape may be hit.
-        if (HWY_LIKELY(!thick))
-            return BlockWalk(grid.space, blocks, exact_, t_enter).run(true, q_, counters_, visit);
-        return walk_blocks_thick(grid.space, blocks, ray_, q_, t_enter, t_leave, counters_, visit);
+        return BlockWalk(grid.space, nested_.blocks.data() + grid.first_block, exact_, t_enter)
+            .run(true, q_, counters_, [&](uint32_t place) HWY_ATTR { return visit(place); });
     }
 
   private:
-    bool test_list(const uint32_t* list) {
-        const uint32_t count = *list & ~nested_cell::grid_flag;
-        if (count > 0 && test_shapes_of(list + 1, count)) return true;
-        if (HWY_LIKELY(!(*list & nested_cell::grid_flag))) return false;
-        const uint32_t* grids = list + 1 + count;
+    HWY_NOINLINE bool enter_thick(const NestedGridHeader& grid) {
+        double t_enter, t_leave;
+        if (!meets_grid(grid.space, exact_, ray_, true, q_, t_enter, t_leave)) return false;
+        return walk_blocks_thick(grid.space, nested_.blocks.data() + grid.first_block, ray_, q_,
+                                 t_enter, t_leave, counters_,
+                                 [&](uint32_t place) HWY_ATTR { return visit(place); });
+    }
+    HWY_INLINE bool visit(uint32_t place) {
+        const uint32_t code = nested_.words[place];
+        if (code & nested_cell::grid_flag) return enter(code & ~nested_cell::grid_flag);
+        counters_.cell(false);
+        // One call for a list and for a single shape, so that the test is compiled once.
+        const uint32_t single = code & ~list_code::single_flag;
+        const bool alone = code & list_code::single_flag;
+        const uint32_t* list = nested_.words.data() + (alone ? 0 : code);
+        const uint32_t count = alone ? 1 : *list & ~nested_cell::grid_flag;
+        if (count > 0 && test_shapes_of(alone ? &single : list + 1, count)) return true;
+        if (HWY_LIKELY(alone || !(*list & nested_cell::grid_flag))) return false;
+        return enter_grids_of(list + 1 + count);
+    }
+    /// @param grids  their number, then they
+    HWY_NOINLINE bool enter_grids_of(const uint32_t* grids) {
         for (uint32_t i = 1; i <= grids[0]; ++i) {
             // An object that stands in several cells is walked once, as a rule.
             uint32_t& seen = entered_[grids[i] % remembered];
@@ -59,7 +64,7 @@ class NestedGridWalk {
         }
         return false;
     }
-    bool test_shapes_of(const uint32_t* shapes, uint32_t count) {
+    HWY_INLINE bool test_shapes_of(const uint32_t* shapes, uint32_t count) {
         return mailbox_.test_fresh(shapes, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
             return test_stored<Q>(nested_.shapes, set_, fresh, n, ray_, q_, counters_);
         });

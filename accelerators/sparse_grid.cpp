@@ -27,7 +27,8 @@ struct NodeShape {
         return (uint32_t(x) << (2 * log2_dim)) | (uint32_t(y) << log2_dim) | uint32_t(z);
     }
 };
-static_assert(NodeShape<UpperNode>::dim * NodeShape<UpperNode>::span == 4096);
+inline constexpr int root_span = NodeShape<UpperNode>::dim * NodeShape<UpperNode>::span;
+static_assert(root_span == 4096);
 
 inline const LowerNode* child(const UpperNode& node, uint32_t offset) {
     return node.childMask().isOn(offset) ? node.data()->getChild(offset) : nullptr;
@@ -62,56 +63,89 @@ class SparseGridWalk {
           test_(test) {}
 
     bool run(const UpperNode& root) {
-        const int base[3] = {0, 0, 0};
-        if (HWY_UNLIKELY(!exact_.fits(space_))) return enter_thick(root, base);
+        if (HWY_UNLIKELY(!exact_.fits(space_))) {
+            const int base[3] = {0, 0, 0};
+            return enter_thick(root, base);
+        }
         double t_enter;
         if (!meets_grid(space_, exact_, ray_, false, q_, t_enter, t_leave_)) return false;
-        return enter(root, base, t_enter);
+        set_up();
+        return enter(root, Triple::all(0), t_enter);
     }
 
   private:
-    /// Walks the blocks of a node along the exact ray. Where a block is empty, that is one step,
-    /// whatever its size; planes are those of the voxels at its sides.
-    template <class Node>
-    bool enter(const Node& node, const int (&base)[3], double t) {
-        using Shape = NodeShape<Node>;
-        constexpr double infinity = std::numeric_limits<double>::infinity();
-        int i[3], step[3], end[3];
-        double next[3];
-        for (int a = 0; a < 3; ++a) {
-            const int voxel = space_.index(a, exact_.at(t, a)) - base[a];
-            i[a] = std::clamp(voxel >> Shape::log2_span, 0, Shape::dim - 1);
-            const bool up = exact_.direction[a] > 0;
-            step[a] = up ? 1 : -1;
-            end[a] = up ? Shape::dim : -1;
-            next[a] = exact_.direction[a] == 0 ? infinity : plane<Shape>(base, a, i[a] + up);
-        }
-        // Called with constants, so that all of it stays in registers.
-        const auto advance = [&](int a) HWY_ATTR {
-            i[a] += step[a];
-            t = next[a];
-            // Nodes reach beyond the grid, up to 4096 voxels.
-            if (i[a] == end[a] || t > double(q_.t_cull) || t > t_leave_) return false;
-            next[a] = plane<Shape>(base, a, i[a] + (step[a] > 0));
-            return true;
-        };
-        while (true) {
-            if (visit(node, base, i[0], i[1], i[2], t)) return true;
-            const bool on = next[0] <= next[1] ? (next[0] <= next[2] ? advance(0) : advance(2))
-                                               : (next[1] <= next[2] ? advance(1) : advance(2));
-            if (!on) return false;
-        }
-    }
-    template <class Shape>
-    HWY_INLINE double plane(const int (&base)[3], int a, int block) const {
-        return (space_.plane(a, base[a] + (block << Shape::log2_span)) - exact_.origin[a]) *
-               exact_.inverse[a];
+    /// Voxels are counted the way the ray goes, from the corner of the root node that it meets
+    /// first.
+    HWY_INLINE void set_up() {
+        const Triple none = Triple::all(0);
+        const Triple beyond = Triple::all(root_span);
+        const Triple origin = Triple::load(exact_.origin);
+        const Triple direction = Triple::load(exact_.direction);
+        const Triple lower = Triple::load(space_.lower), rate = Triple::load(space_.inverse_cell);
+        const Triple inverse = Triple::load(exact_.inverse);
+        const TripleMask down = less(direction, none);
+        const Triple speed = magnitude_of(direction);
+        const TripleMask moves = less(none, speed);
+
+        const Triple zero = (lower - origin) * inverse;
+        const Triple pace = Triple::load(space_.cell) * inverse;
+        pace_ = moves.choose(magnitude_of(pace), none);
+        zero_ = moves.choose(down.choose(zero + beyond * pace, zero),
+                             Triple::all(std::numeric_limits<double>::infinity()));
+        const Triple start = (origin - lower) * rate;
+        start_ = down.choose(beyond - start, start);
+        speed_ = speed * rate;
     }
 
+    /// Walks the blocks of a node along the exact ray, as BlockWalk does. Where a block is empty,
+    /// that is one step, whatever its size; planes are those of the voxels at its sides.
+    /// @param base  the node's first voxel
+    /// @param t     where the ray enters the node
     template <class Node>
-    HWY_INLINE bool visit(const Node& node, const int (&base)[3], int x, int y, int z, double t) {
+    bool enter(const Node& node, const Triple& base, double t) {
         using Shape = NodeShape<Node>;
-        const uint32_t offset = Shape::offset(x, y, z);
+        using D = Triple::D;
+        const D d;
+        const Triple span = Triple::all(Shape::span);
+        const Triple size = Triple::all(Shape::span * Shape::dim), none = Triple::all(0);
+        const double exit = std::min((zero_ + (base + size) * pace_).least(), t_leave_);
+        const Triple in_node = start_ + Triple::all(t) * speed_ - base;
+        const Triple block =
+            floor_of(least_of(greatest_of(in_node * Triple::all(1.0 / Shape::span), none),
+                              Triple::all(Shape::dim - 1)));
+        Triple plane = base + block * span + span;
+        Triple next = zero_ + plane * pace_;
+        constexpr int log2 = Shape::log2_dim;
+        constexpr uint32_t last = Shape::dim - 1;
+        const uint32_t flip =
+            Shape::offset(exact_.down[0] & last, exact_.down[1] & last, exact_.down[2] & last);
+        uint32_t offset =
+            Shape::offset(int(hn::GetLane(block.xy)), int(hn::GetLane(hn::Shuffle01(block.xy))),
+                          int(hn::GetLane(block.z)));
+        while (true) {
+            if (visit(node, plane - span, offset ^ flip, t)) return true;
+            const Triple after_plane = plane + span;
+            const Triple after = zero_ + after_plane * pace_;
+            auto least = hn::Min(next.xy, next.z);
+            least = hn::Min(least, hn::Shuffle01(least));
+            t = hn::GetLane(least);
+            // Nodes reach beyond the grid, up to 4096 voxels.
+            if (t >= exit || t > double(q_.t_cull)) return false;
+            const TripleMask passed = {hn::Eq(next.xy, least), hn::Eq(next.z, least)};
+            next = passed.choose(after, next);
+            plane = passed.choose(after_plane, plane);
+            uint8_t xy[8], z[8];
+            hn::StoreMaskBits(d, passed.xy, xy);
+            hn::StoreMaskBits(d, passed.z, z);
+            static constexpr uint32_t moves[4] = {0, 1u << (2 * log2), 1u << log2,
+                                                  1u << (2 * log2) | 1u << log2};
+            offset += moves[xy[0] & 3] + (z[0] & 1u);
+        }
+    }
+
+    /// @param base  the block's first voxel
+    template <class Node>
+    HWY_INLINE bool visit(const Node& node, const Triple& base, uint32_t offset, double t) {
         counters_.step();
         if constexpr (std::is_same_v<Node, LeafNode>) {
             return test_voxel(node, offset);
@@ -121,10 +155,7 @@ class SparseGridWalk {
                 counters_.cell(true);
                 return false;
             }
-            const int origin[3] = {base[0] + (x << Shape::log2_span),
-                                   base[1] + (y << Shape::log2_span),
-                                   base[2] + (z << Shape::log2_span)};
-            return enter(*inner, origin, t);
+            return enter(*inner, base, t);
         }
     }
     HWY_INLINE bool test_voxel(const LeafNode& leaf, uint32_t offset) {
@@ -184,7 +215,9 @@ class SparseGridWalk {
     RayQuery& q_;
     C& counters_;
     Test& test_;
-    double t_leave_;  ///< where the exact ray leaves the grid
+    double t_leave_;        ///< where the exact ray leaves the grid
+    Triple zero_, pace_;    ///< t of plane i is zero + i·pace; d = 0: zero is infinity
+    Triple start_, speed_;  ///< the ray's voxel at t is start + t·speed
 };
 
 struct SparseGridTraversal {
