@@ -110,7 +110,7 @@ TEST_CASE("cli: list as JSON names accelerators with parameters, workloads and s
     }
     for (const char* name : {"brute_force", "uniform_grid", "bvh"})
         CHECK(std::count(names.begin(), names.end(), name) == 1);
-    CHECK(json.at("workloads").size() == 6);
+    CHECK(json.at("workloads").size() == 8);
     CHECK(json.at("scenes").size() >= 1);
     CHECK(run_crofton("list").code == 0);
 }
