@@ -126,7 +126,8 @@ class Collapse {
   private:
     struct Subtree {
         double cost;     // times area
-        double shapes;   // sum of the costs of its references' shapes
+        double leaf;     // of all its references, were they one leaf
+        double shapes;   // sum of the costs of their shapes
         uint32_t nodes;  // after collapsing; 1: a leaf
         uint32_t references;
     };
@@ -147,21 +148,34 @@ class Collapse {
         const double area = half_area(node.bounds);
         Subtree& s = subtrees_[i];
         if (node.leaf()) {
-            s = {0, 0, 1, node.count};
+            s = {0, 0, 0, 1, node.count};
             if (costs_.leaf_width == 1)
                 for (uint32_t k = 0; k < node.count; ++k)
                     s.shapes += cost_of_shape_[tree_.order[node.first + k]];
-            s.cost = area * costs_.leaf(s.shapes, s.references);
+            s.leaf = costs_.leaf(s.shapes, std::span(tree_.order).subspan(node.first, node.count));
+            s.cost = area * s.leaf;
             return;
         }
         both(
             depth, [&] { weigh(node.left, depth + 1); }, [&] { weigh(node.right, depth + 1); });
         const Subtree &l = subtrees_[node.left], &r = subtrees_[node.right];
-        s = {area * costs_.node + l.cost + r.cost, l.shapes + r.shapes, 1 + l.nodes + r.nodes,
+        s = {area * costs_.node + l.cost + r.cost, 0, l.shapes + r.shapes, 1 + l.nodes + r.nodes,
              l.references + r.references};
         if (s.references > max_leaf_size_) return;
-        const double leaf = area * costs_.leaf(s.shapes, s.references);
-        if (leaf <= s.cost) s.cost = leaf, s.nodes = 1;
+        s.leaf = one_leaf(i);
+        if (area * s.leaf <= s.cost) s.cost = area * s.leaf, s.nodes = 1;
+    }
+
+    /// Cost of a subtree's references as one leaf.
+    double one_leaf(uint32_t i) const {
+        const Subtree& s = subtrees_[i];
+        if (!costs_.blocks) return costs_.leaf(s.shapes, s.references);
+        const BinaryTree::Node& node = tree_.nodes[i];
+        if (s.references > TreeCosts::most_counted)
+            return subtrees_[node.left].leaf + subtrees_[node.right].leaf;
+        std::array<uint32_t, TreeCosts::most_counted> shapes;
+        uint32_t* const end = gather(i, shapes.data());
+        return costs_.leaf(s.shapes, std::span(shapes.data(), end));
     }
 
     void emit(uint32_t i, uint32_t to, uint32_t first, int depth) {
@@ -288,7 +302,8 @@ double expected_cost(const BinaryTree& tree, const TreeCosts& costs,
             if (costs.leaf_width == 1)
                 for (uint32_t i = 0; i < node.count; ++i)
                     shapes += cost_of_shape[tree.order[node.first + i]];
-            sum += probability * costs.leaf(shapes, node.count);
+            sum += probability *
+                   costs.leaf(shapes, std::span(tree.order).subspan(node.first, node.count));
         } else {
             sum += probability * costs.node;
             open.push_back(node.left);

@@ -43,10 +43,18 @@ struct TreeCosts {
     int leaf_width = 1;  ///< shapes tested at once; 1: a leaf costs the sum of its shapes' costs
     double leaf_block = 0.0;  ///< of leaf_width shapes at once
     double leaf_shape = 0.0;  ///< and of each of them, before that: fetching it
+    /// How many blocks given shapes fill, where that depends on which; null: leaf_width tells.
+    std::function<uint32_t(std::span<const uint32_t>)> blocks = {};
+    static constexpr uint32_t most_counted = 8;  ///< shapes that `blocks` is asked about
     double leaf(double sum, uint32_t count) const {
         return leaf_width > 1
                    ? leaf_block * ((count + leaf_width - 1) / leaf_width) + leaf_shape * count
                    : sum;
+    }
+    /// Of a leaf of given shapes.
+    double leaf(double sum, std::span<const uint32_t> shapes) const {
+        return blocks && shapes.size() <= most_counted ? leaf_block * blocks(shapes)
+                                                       : leaf(sum, uint32_t(shapes.size()));
     }
 };
 

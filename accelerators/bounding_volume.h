@@ -82,12 +82,12 @@ static_assert(sizeof(KdopPair) == 144);
 /// A ray as thick as any leaf test can stray, for volumes that are no boxes.
 ///
 /// A leaf test may accept a shape that the exact ray passes, on axis a, at no more than pad_a and
-/// 14u·(|o_a| + magnitude) more: see LocalRay. What the tests of volumes do in float adds to that:
+/// 12u·(|o_a| + magnitude) more: see LocalRay. What the tests of volumes do in float adds to that:
 /// n·o, n·d and n·p of a direction n with |n_a| <= 1 have errors of at most 3u·Σ|n_a|·(their
 /// coordinates); the error of n·d moves the ray by 3u·Σ|n_a|·|t·d_a|, and wherever it is in the
 /// volume |t·d_a| <= |o_a| + magnitude; so does the replacement of 1/(n·d) by a finite number; the
-/// distance along the ray has 3 roundings of |n·p - n·o|. In sum less than 14u·(|o_a| + magnitude)
-/// again; 2^-19 of it is more than both. So the thickness of n is Σ|n_a|·thickness_a.
+/// distance along the ray has 3 roundings of |n·p - n·o|. In sum less than 14u·(|o_a| + magnitude);
+/// 32u are more than both. So the thickness of n is Σ|n_a|·thickness_a.
 struct VolumeRay {
     float thickness[3];
 

@@ -49,13 +49,13 @@ struct BspParameters {
 /// plane within the cell's interval of t. H also covers, in units of u·Σ|nₐ|·(|oₐ| + M), which
 /// bounds all distances along n between points of the box and the origin:
 ///
-///    8  what a leaf test strays beyond pad (ThickRay)
+///   12  triangles only: what a leaf test strays beyond pad (LocalRay)
 ///    3  rounding of n·o; 3 of n·d, since |t·dₐ| <= |oₐ| + M; 1 of adding H; 1 of the subtraction
 ///    2  of the quotient and its product, which are relative to that same distance
 ///    4  bsp_tolerance: shapes that reach past a plane by so much are not behind it
 ///   16  polygons only: corners may stand off the plane that is hit
 ///
-/// 22u, or 38u; w is 32u or 64u, which leaves room for terms of second order and for what clipping
+/// 26u, or 30u for polygons; w is 32u or 64u, which leaves room for terms of second order and for what clipping
 /// rounds in double. Where n·d is so small that 1/(n·d) is replaced by 2^60/max|d|, the ray's
 /// points move along n by less than 2^-60·(|o| + M). A wrong sign of a rounded n·d needs no care:
 /// it is within the 3u. Where a product overflows to NaN, both sides are visited, since either

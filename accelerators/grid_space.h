@@ -72,9 +72,11 @@ struct GridSpace {
         }
         return b;
     }
+    /// 12u: share of |o| + magnitude that a leaf test may err by, see LocalRay.
+    static constexpr double leaf_reach = 0x1.8p-21;
     /// What a leaf test may add to a ray's own thickness, per axis.
     double reach(const LocalRay& ray, int axis) const {
-        return ray.pad[axis] + 0x1p-21 * (std::abs(double(ray.origin[axis])) + magnitude);
+        return ray.pad[axis] + leaf_reach * (std::abs(double(ray.origin[axis])) + magnitude);
     }
 };
 

@@ -149,7 +149,7 @@ struct ExactRay {
         const Triple o = Triple::load(ray.origin);
         const Triple d = Triple::load(ray.direction) + zero;  // -0 becomes 0
         const V one = hn::Set(Triple::D(), 1.0);
-        const Triple r = Triple::load(ray.pad) + Triple::all(0x1p-21) * magnitude_of(o);
+        const Triple r = Triple::load(ray.pad) + Triple::all(GridSpace::leaf_reach) * magnitude_of(o);
         o.store(origin);
         d.store(direction);
         Triple{hn::Div(one, d.xy), hn::Div(one, d.z)}.store(inverse);
@@ -162,7 +162,7 @@ struct ExactRay {
     }
     /// Whether a walk along the exact ray finds all that a leaf test may accept in this grid.
     HWY_INLINE bool fits(const GridSpace& grid) const {
-        const Triple share = Triple::all(0x1p-21 * grid.magnitude);
+        const Triple share = Triple::all(GridSpace::leaf_reach * grid.magnitude);
         return at_most(Triple::load(reach) + share, Triple::load(grid.margin)).all();
     }
     double at(double t, int axis) const { return origin[axis] + t * direction[axis]; }

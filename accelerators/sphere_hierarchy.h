@@ -104,8 +104,8 @@ struct SphereHierarchy {
 /// digits are lost to a far origin (Haines, Günther, Akenine-Möller 2019). It is as thick as
 /// anything a leaf test may accept:
 ///
-/// (a) A leaf test may accept a shape at up to LocalRay::pad and 8u·(|o| + magnitude) per axis from
-///     the exact ray, see ThickRay; `slack` has the length of that vector.
+/// (a) A leaf test may accept a shape at up to LocalRay::pad and 12u·(|o| + magnitude) per axis from
+///     the exact ray, see LocalRay; `slack` has the length of that vector.
 /// (b) The test of a sphere works in float. Centres and the origin lie within the root's sphere, so
 ///     that with |v| <= 2 the vector from the ray to a centre is off by at most 19u, comparing
 ///     squares by 3u, and the distance along the ray by 18u with the rounding of both ends: 40u
@@ -134,7 +134,7 @@ struct SphereRay {
         const Vec3d nearest = (f + t0 * way) / h.unit;
         Vec3d thickness;
         for (int a = 0; a < 3; ++a)
-            thickness[a] = ray.pad[a] + 0x1p-21 * (std::abs(double(ray.origin[a])) + h.magnitude);
+            thickness[a] = ray.pad[a] + 0x1.8p-21 * (std::abs(double(ray.origin[a])) + h.magnitude);
         const double thick = (thickness.norm() / h.unit + 0x1p-18) * (1 + 0x1p-17);
         // Beyond this, squares could leave the range of float.
         whole = !(thick < 0x1p60);

@@ -10,10 +10,10 @@ namespace crofton {
 
 /// A ray as a structure of planes follows it: as thick as any leaf test can stray.
 ///
-/// A leaf test may accept a shape that the exact ray passes at up to LocalRay::pad, and up to
-/// 8u·(|o| + magnitude) more where a plane cuts the shape far from its corners. Twice the latter
-/// here also covers the rounding of the distances below, which all span at most |o| + magnitude; so
-/// they need no relative slack, and hold for negative t as well.
+/// A leaf test may accept a shape that the exact ray passes at up to LocalRay::pad and
+/// 5u·|o| + 12u·magnitude more. The rounding of the distances below, which all span at most |o| +
+/// magnitude, is 3u of that. 16u cover both; so distances need no relative slack, and hold for
+/// negative t as well.
 struct ThickRay {
     struct Axis {
         float near_origin, far_origin, rcp;

@@ -114,6 +114,10 @@ class SplitBuilder {
         if (range.size() == 1) {
             nodes_[node].first = uint32_t(range.begin);
             nodes_[node].count = 1;
+            // A part has the slack of its triangle.
+            if (triangles_)
+                nodes_[node].bounds =
+                    grown(nodes_[node].bounds, triangles_->slack(refs_[range.begin].shape));
             return;
         }
         if (node == 0) root_area_ = bounds.boxes.half_area();
@@ -139,6 +143,7 @@ class SplitBuilder {
             build_left();
             build_right();
         }
+        nodes_[node].bounds = merge(nodes_[left].bounds, nodes_[right].bounds);
     }
 
     /// Reorders the range so that the left child's references come first; may add some.

@@ -5,78 +5,119 @@
 #include <hwy/foreach_target.h>
 
 #include "framework/accelerator.h"
+#include "framework/patch_test.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
 
-/// Where a ray enters and leaves all children of a node.
-class EightBoxTest {
-  public:
-    using D = hn::CappedTag<float, 8>;
-    static constexpr size_t N = hn::MaxLanes(D());
+using NodeLanes = hn::CappedTag<float, 8>;
+constexpr size_t node_lanes = hn::MaxLanes(NodeLanes());
 
-    explicit EightBoxTest(const LocalRay& ray) : ray_(ray) {
-        for (int a = 0; a < 3; ++a) down_[a] = std::signbit(ray.rcp[a]) ? 1 : 0;
+template <class M>
+HWY_INLINE uint32_t lane_bits(const M& mask) {
+    uint8_t b[8];
+    hn::StoreMaskBits(NodeLanes(), mask, b);
+    return b[0];
+}
+
+/// Which planes a ray meets first is an offset into the node.
+/// @param size  bytes of the planes of an axis
+struct PlaneOffsets {
+    size_t enter[3], leave[3];
+    HWY_INLINE PlaneOffsets(const LocalRay& ray, size_t begin, size_t size) {
+        for (size_t a = 0; a < 3; ++a) {
+            const size_t upper = std::signbit(ray.rcp[a]) ? 3 * size : 0;
+            enter[a] = begin + a * size + upper;
+            leave[a] = begin + (a + 3) * size - upper;
+        }
     }
+};
+
+/// Where a ray enters and leaves some children of a node, as many as a vector has lanes. The ray's
+/// numbers come from memory each time: they are operands of the arithmetic, and leaf tests would
+/// have emptied the registers.
+template <class Node>
+class ChildrenTest;
+
+template <>
+class ChildrenTest<WideNode> {
+  public:
+    explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
+        : ray_(ray), offsets_(ray, offsetof(WideNode, planes), 8 * sizeof(float)) {}
+
     /// @param t_near  8 floats: where the ray enters each child
     /// @return bit i: child i may be hit within [t_low, t_cull]
     HWY_INLINE uint32_t test(const WideNode& node, float t_low, float t_cull,
                              float* HWY_RESTRICT t_near) const {
-        const D d;
         uint32_t hits = 0;
-        for (size_t i = 0; i < 8; i += N) {
-            auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
-            for (int a = 0; a < 3; ++a) {
-                const auto lo = hn::Load(d, node.planes[down_[a]][a] + i);
-                const auto hi = hn::Load(d, node.planes[down_[a] ^ 1][a] + i);
-                enter = hn::Max(enter, hn::Mul(hn::Sub(lo, hn::Set(d, ray_.near_origin[a])),
-                                               hn::Set(d, ray_.rcp[a])));
-                leave = hn::Min(leave, hn::Mul(hn::Sub(hi, hn::Set(d, ray_.far_origin[a])),
-                                               hn::Set(d, ray_.far_rcp[a])));
-            }
-            hn::Store(enter, d, t_near + i);
-            hits |= bits(hn::Le(enter, leave)) << i;
-        }
+        for (size_t i = 0; i < 8; i += node_lanes) hits |= test(node, i, t_low, t_cull, t_near);
         return hits;
     }
-    /// One multiplication and addition a plane: the node's grid is moved to the ray first. The
-    /// error of that, some u of the node's extent, is what `quantise` leaves room for.
+
+  private:
+    HWY_INLINE uint32_t test(const WideNode& node, size_t first, float t_low, float t_cull,
+                             float* HWY_RESTRICT t_near) const {
+        const NodeLanes d;
+        const auto* const bytes = reinterpret_cast<const char*>(&node);
+        const auto at = [&](size_t offset, const float& origin, const float& rcp) HWY_ATTR {
+            const auto plane = hn::Load(d, reinterpret_cast<const float*>(bytes + offset) + first);
+            return hn::Mul(hn::Sub(plane, hn::Set(d, origin)), hn::Set(d, rcp));
+        };
+        const auto x0 = at(offsets_.enter[0], ray_.near_origin[0], ray_.rcp[0]);
+        const auto y0 = at(offsets_.enter[1], ray_.near_origin[1], ray_.rcp[1]);
+        const auto z0 = at(offsets_.enter[2], ray_.near_origin[2], ray_.rcp[2]);
+        const auto x1 = at(offsets_.leave[0], ray_.far_origin[0], ray_.far_rcp[0]);
+        const auto y1 = at(offsets_.leave[1], ray_.far_origin[1], ray_.far_rcp[1]);
+        const auto z1 = at(offsets_.leave[2], ray_.far_origin[2], ray_.far_rcp[2]);
+        const auto enter = hn::Max(hn::Max(x0, y0), hn::Max(z0, hn::Set(d, t_low)));
+        const auto leave = hn::Min(hn::Min(x1, y1), hn::Min(z1, hn::Set(d, t_cull)));
+        hn::Store(enter, d, t_near + first);
+        return lane_bits(hn::Le(enter, leave)) << first;
+    }
+
+    const LocalRay& ray_;
+    PlaneOffsets offsets_;
+};
+
+/// One multiplication and addition a plane: the node's grid is moved to the ray first. The error of
+/// that, some u of the node's extent, is what `quantise` leaves room for.
+template <>
+class ChildrenTest<QuantisedNode> {
+  public:
+    explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
+        : ray_(ray), offsets_(ray, offsetof(QuantisedNode, planes), 8) {}
+
     HWY_INLINE uint32_t test(const QuantisedNode& node, float t_low, float t_cull,
                              float* HWY_RESTRICT t_near) const {
-        const D d;
-        const hn::Rebind<uint8_t, D> d8;
-        const hn::Rebind<int32_t, D> d32;
         uint32_t hits = 0;
-        for (size_t i = 0; i < 8; i += N) {
-            auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
-            for (int a = 0; a < 3; ++a) {
-                const auto lo = hn::LoadU(d8, node.planes[down_[a]][a] + i);
-                const auto hi = hn::LoadU(d8, node.planes[down_[a] ^ 1][a] + i);
-                const float near_base = (node.origin[a] - ray_.near_origin[a]) * ray_.rcp[a];
-                const float far_base = (node.origin[a] - ray_.far_origin[a]) * ray_.far_rcp[a];
-                enter = hn::Max(enter, hn::MulAdd(hn::ConvertTo(d, hn::PromoteTo(d32, lo)),
-                                                  hn::Set(d, node.scale[a] * ray_.rcp[a]),
-                                                  hn::Set(d, near_base)));
-                leave = hn::Min(leave, hn::MulAdd(hn::ConvertTo(d, hn::PromoteTo(d32, hi)),
-                                                  hn::Set(d, node.scale[a] * ray_.far_rcp[a]),
-                                                  hn::Set(d, far_base)));
-            }
-            hn::Store(enter, d, t_near + i);
-            hits |= bits(hn::Le(enter, leave)) << i;
-        }
+        for (size_t i = 0; i < 8; i += node_lanes) hits |= test(node, i, t_low, t_cull, t_near);
         return hits & ((1u << node.children) - 1);
     }
 
   private:
-    template <class M>
-    static HWY_INLINE uint32_t bits(const M& mask) {
-        uint8_t b[8];
-        hn::StoreMaskBits(D(), mask, b);
-        return b[0];
+    HWY_INLINE uint32_t test(const QuantisedNode& node, size_t first, float t_low, float t_cull,
+                             float* HWY_RESTRICT t_near) const {
+        const NodeLanes d;
+        const hn::Rebind<uint8_t, NodeLanes> d8;
+        const hn::Rebind<int32_t, NodeLanes> d32;
+        const auto* const bytes = reinterpret_cast<const uint8_t*>(&node) + first;
+        const auto at = [&](size_t offset, int a, const float* origin, const float* rcp) HWY_ATTR {
+            const auto plane = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d8, bytes + offset)));
+            return hn::MulAdd(plane, hn::Set(d, node.scale[a] * rcp[a]),
+                              hn::Set(d, (node.origin[a] - origin[a]) * rcp[a]));
+        };
+        auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
+        for (int a = 0; a < 3; ++a) {
+            enter = hn::Max(enter, at(offsets_.enter[a], a, ray_.near_origin, ray_.rcp));
+            leave = hn::Min(leave, at(offsets_.leave[a], a, ray_.far_origin, ray_.far_rcp));
+        }
+        hn::Store(enter, d, t_near + first);
+        return lane_bits(hn::Le(enter, leave)) << first;
     }
+
     const LocalRay& ray_;
-    uint32_t down_[3];
+    PlaneOffsets offsets_;
 };
 
 struct WideBvhTraversal {
@@ -104,8 +145,8 @@ struct WideBvhTraversal {
         return t;
     }
     static HWY_INLINE void order(Entry& far, Entry& near) {
-        const Entry a = std::max(far, near), b = std::min(far, near);
-        far = a, near = b;
+        // A branch, which lets the next node be loaded before the order is known.
+        if (HWY_UNLIKELY(far < near)) std::swap(far, near);
     }
 
     template <Query Q, class Node, class Set, class C>
@@ -113,14 +154,14 @@ struct WideBvhTraversal {
                                      RayQuery& q, C& counters, TraversalStart start) {
         const Node* nodes = bvh.begin(static_cast<const Node*>(nullptr));
         if (bvh.box.empty()) return false;
-        const EightBoxTest boxes(ray);
+        const ChildrenTest<Node> boxes(ray);
         Entry stack[WideBvh<Set>::max_depth * (WideBvh<Set>::width - 1) + 1];
         Entry* top = stack;
         uint32_t current = start.index;
         const float t_low = q.t_low;
         while (true) {
             while (!WideChild::is_leaf(current)) {
-                const Node& node = nodes[current];
+                const Node& node = node_at(nodes, current);
                 counters.step();
                 alignas(32) float t[8];
                 uint32_t hits = boxes.test(node, t_low, q.t_cull, t);
@@ -255,8 +296,10 @@ class WideWriter {
                 if (node.leaf()) {
                     child[i] = add_leaf(node, o.depth + 1);
                 } else {
-                    child[i] = add_node();
-                    open.push_back({children[i], child[i], o.depth + 1});
+                    const uint32_t index = add_node();
+                    child[i] = bvh_.format == WideNodes::full ? place_of<WideNode>(index)
+                                                              : place_of<QuantisedNode>(index);
+                    open.push_back({children[i], index, o.depth + 1});
                 }
             }
             set_node(o.to, bounds, child);
@@ -275,12 +318,14 @@ class WideWriter {
     uint32_t add_leaf(const BinaryTree::Node& node, uint32_t depth) {
         const uint32_t first = bvh_.leaves.add(
             set_, std::span<const uint32_t>(tree_.order.data() + node.first, node.count));
-        if (first > WideChild::max_first)
+        if (first >= WideChild::max_first)
             throw InputError("wide_bvh: more leaves than 2^26; use bvh");
+        uint32_t count = node.count;
+        if constexpr (std::is_same_v<Set, TriangleSet>) count = bvh_.leaves.size() - first;
         ++bvh_.stats.N_V;
         bvh_.stats.N_OIV += node.count;
         bvh_.stats.depth = std::max(bvh_.stats.depth, depth);
-        return WideChild::leaf(first, node.count);
+        return WideChild::leaf(first, count);
     }
     void set_node(uint32_t index, const std::vector<Bounds3>& bounds, const uint32_t* child) {
         if (bvh_.format == WideNodes::full) {
@@ -300,8 +345,8 @@ class WideWriter {
     const Set& set_;
 };
 
-template <class Node>
-void walk_nodes(const Node* nodes, const BoxVisitor& visit) {
+template <class Set, class Node>
+void walk_nodes(const WideBvh<Set>& bvh, const Node* nodes, const BoxVisitor& visit) {
     struct Open {
         uint32_t node, depth;
     };
@@ -310,11 +355,12 @@ void walk_nodes(const Node* nodes, const BoxVisitor& visit) {
         const Open o = open.back();
         open.pop_back();
         for (int i = 0; i < 8; ++i) {
-            const Bounds3 b = child_bounds(nodes[o.node], i);
+            const Node& node = node_at(nodes, o.node);
+            const Bounds3 b = child_bounds(node, i);
             if (b.empty()) continue;
-            const uint32_t child = nodes[o.node].child[i];
+            const uint32_t child = node.child[i];
             const bool leaf = WideChild::is_leaf(child);
-            visit(b, o.depth + 1, leaf, leaf ? WideChild::count(child) : 0);
+            visit(b, o.depth + 1, leaf, leaf ? bvh.leaf_size(child) : 0);
             if (!leaf) open.push_back({child, o.depth + 1});
         }
     }
@@ -345,7 +391,11 @@ template <class Set>
 WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
     WideBvh bvh;
     bvh.format = p.nodes;
-    const TreeCosts costs = tree_costs<Set>(cost_constants.wide_node);
+    TreeCosts costs = tree_costs<Set>(cost_constants.wide_node);
+    if constexpr (std::is_same_v<Set, TriangleSet>)
+        costs.blocks = [&](std::span<const uint32_t> shapes) {
+            return TrianglePatches::count_patches(set, shapes);
+        };
     const BinaryTree tree = build_tree(set, p, costs);
     if (tree.empty()) return bvh;
     bvh.box = tree.nodes[0].bounds;
@@ -355,6 +405,7 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
     WideWriter<Set>(bvh, tree, collapse, set).write();
     bvh.nodes.shrink_to_fit();
     bvh.quantised.shrink_to_fit();
+    if constexpr (std::is_same_v<Set, TriangleSet>) bvh.leaves.shrink();
     bvh.stats.bytes = bvh.nodes.size() * sizeof(WideNode) +
                       bvh.quantised.size() * sizeof(QuantisedNode) + bvh.leaves.bytes();
     return bvh;
@@ -365,9 +416,9 @@ void WideBvh<Set>::walk(const BoxVisitor& visit) const {
     if (box.empty()) return;
     visit(box, 0, false, 0);
     if (format == WideNodes::full)
-        walk_nodes(nodes.data(), visit);
+        walk_nodes(*this, nodes.data(), visit);
     else
-        walk_nodes(quantised.data(), visit);
+        walk_nodes(*this, quantised.data(), visit);
 }
 
 CROFTON_REGISTER_ACCELERATOR(

@@ -5,6 +5,7 @@
 #include "framework/aligned.h"
 #include "framework/parts.h"
 #include "framework/primitive.h"
+#include "framework/triangle_patches.h"
 
 namespace crofton {
 
@@ -23,8 +24,13 @@ struct WideBvhParameters : TreeParameters {
     }
 };
 
-/// A child: an inner node's index; or, with bit 31, a leaf: count - 1 in bits 26 … 30, where its
-/// shapes begin in bits 0 … 25.
+/// How the leaves are stored: patches of triangles, or references.
+template <class Set>
+using WideLeaves =
+    std::conditional_t<std::is_same_v<Set, TriangleSet>, TrianglePatches, ReferenceLeaves>;
+
+/// A child: where an inner node is, see node_at; or, with bit 31, a leaf: count - 1 in bits 26 …
+/// 30, where its patches or references begin in bits 0 … 25.
 struct WideChild {
     static constexpr uint32_t leaf_bit = 1u << 31, first_bits = 26;
     static constexpr uint32_t max_first = (1u << first_bits) - 1, max_count = 32;
@@ -64,7 +70,19 @@ struct alignas(8) QuantisedNode {
 };
 static_assert(sizeof(QuantisedNode) == 112);
 
-/// Box of child i as traversal sees it.
+/// Places of nodes are counted in steps of their alignment, which makes an address of a place by a
+/// shift.
+template <class Node>
+uint32_t place_of(size_t index) {
+    return uint32_t(index * (sizeof(Node) / alignof(Node)));
+}
+template <class Node>
+const Node& node_at(const Node* nodes, uint32_t place) {
+    return *reinterpret_cast<const Node*>(reinterpret_cast<const char*>(nodes) +
+                                          size_t(place) * alignof(Node));
+}
+
+/// Box of child i as traversal sees it; empty if there is none.
 Bounds3 child_bounds(const WideNode& node, int i);
 Bounds3 child_bounds(const QuantisedNode& node, int i);
 
@@ -73,14 +91,14 @@ Bounds3 child_bounds(const QuantisedNode& node, int i);
 template <class Set>
 struct WideBvh {
     static constexpr const char* name = "wide_bvh";
-    static constexpr bool reads_set = Leaves<Set>::keeps_set;
+    static constexpr bool reads_set = WideLeaves<Set>::keeps_set;
     static constexpr int width = 8;
     static constexpr int max_depth = BinaryTree::max_depth;  ///< of the binary tree, and so of this
 
     WideNodes format = WideNodes::full;
     AlignedVector<WideNode> nodes;           ///< format full: the root first
     AlignedVector<QuantisedNode> quantised;  ///< format quantised
-    Leaves<Set> leaves;
+    WideLeaves<Set> leaves;
     Bounds3 box;
     double cost = 0;
     StructureStatistics stats;
@@ -103,20 +121,37 @@ struct WideBvh {
     template <class F>
     void visit_children(TraversalStart at, F&& f) const {
         if (box.empty()) return;
-        const bool full = format == WideNodes::full;
-        for (int i = 0; i < width; ++i) {
-            const Bounds3 b =
-                full ? child_bounds(nodes[at.index], i) : child_bounds(quantised[at.index], i);
-            const uint32_t child = full ? nodes[at.index].child[i] : quantised[at.index].child[i];
-            if (!b.empty()) f(b, TraversalStart{child, 0});
-        }
+        const auto visit = [&](const auto& node) {
+            for (int i = 0; i < width; ++i)
+                if (const Bounds3 b = child_bounds(node, i); !b.empty())
+                    f(b, TraversalStart{node.child[i], 0});
+        };
+        if (format == WideNodes::full)
+            visit(node_at(nodes.data(), at.index));
+        else
+            visit(node_at(quantised.data(), at.index));
     }
     double cost_of(const Set& set, TraversalStart at) const {
-        if (is_leaf(at))
-            return leaf_cost(set, leaves, WideChild::first(at.index), WideChild::count(at.index));
+        if (is_leaf(at)) {
+            const uint32_t count = WideChild::count(at.index);
+            if constexpr (std::is_same_v<Set, TriangleSet>)
+                return count * cost_constants.triangle_block;
+            else
+                return leaf_cost(set, leaves, WideChild::first(at.index), count);
+        }
         int children = 0;
         visit_children(at, [&](const Bounds3&, TraversalStart) { ++children; });
         return cost_constants.wide_node * (children - 1);
+    }
+    /// Shapes in a leaf.
+    uint32_t leaf_size(uint32_t child) const {
+        uint32_t count = WideChild::count(child);
+        if constexpr (std::is_same_v<Set, TriangleSet>) {
+            const TrianglePatch* const first = leaves.patches() + WideChild::first(child);
+            count = 0;
+            for (uint32_t i = 0; i < WideChild::count(child); ++i) count += first[i].count;
+        }
+        return count;
     }
     std::span<const uint32_t> references(TraversalStart leaf) const {
         return {leaves.references() + WideChild::first(leaf.index), WideChild::count(leaf.index)};

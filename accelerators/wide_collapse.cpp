@@ -34,7 +34,8 @@ WideCollapse::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, doubl
             if (costs.leaf_width == 1)
                 for (uint32_t i = 0; i < node.count; ++i)
                     shapes += cost_of_shape[tree.order[node.first + i]];
-            c.fill(area * costs.leaf(shapes, node.count));
+            c.fill(area *
+                   costs.leaf(shapes, std::span(tree.order).subspan(node.first, node.count)));
             continue;
         }
         const Costs &left = least[node.left], &right = least[node.right];

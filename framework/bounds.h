@@ -66,6 +66,17 @@ inline double volume(const Bounds3& b) {
     return b.empty() ? 0.0 : (b.upper.cast<double>() - b.lower.cast<double>()).prod();
 }
 
+/// A finite box that reaches at least `distance` further on every side.
+inline Bounds3 grown(const Bounds3& b, const Vec3f& distance) {
+    constexpr float most = std::numeric_limits<float>::max();
+    Bounds3 out;
+    // The share of the coordinate covers the rounding of the sum.
+    out.lower =
+        (b.lower.array() - (b.lower.array().abs() * 0x1p-23f + distance.array())).max(-most);
+    out.upper = (b.upper.array() + (b.upper.array().abs() * 0x1p-23f + distance.array())).min(most);
+    return out;
+}
+
 /// Next representable box outwards by `ulps` steps of each bound's magnitude (at least the smallest
 /// normal float), used where a bound comes from rounded arithmetic.
 inline Bounds3 widened(const Bounds3& b, float relative) {

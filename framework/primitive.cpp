@@ -58,7 +58,7 @@ Hit Primitive::intersect(const Ray& ray, Mode mode) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
+    if (!prepare(ray, magnitude_, query, local, scale)) return {};
     query.mode = mode;
     closest_local(local, query);
     return result(query, scale);
@@ -69,7 +69,7 @@ bool Primitive::occluded(const Ray& ray, Mode mode) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
+    if (!prepare(ray, magnitude_, query, local, scale)) return false;
     query.mode = mode;
     return any_local(local, query);
 }
@@ -89,7 +89,7 @@ Hit Primitive::intersect(const Ray& ray, Counters& counters, Mode mode) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
+    if (!prepare(ray, magnitude_, query, local, scale)) return {};
     query.mode = mode;
     closest_local(local, query, counters);
     return result(query, scale);
@@ -100,7 +100,7 @@ bool Primitive::occluded(const Ray& ray, Counters& counters, Mode mode) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
+    if (!prepare(ray, magnitude_, query, local, scale)) return false;
     query.mode = mode;
     return any_local(local, query, counters);
 }
@@ -109,7 +109,7 @@ Hit Primitive::closest_exactly(const Ray& ray, Counters* counters) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return {};
+    if (!prepare(ray, magnitude_, query, local, scale)) return {};
     const ExactStart start(ray, scale, local, query);
     counters ? closest_local(local, query, *counters) : closest_local(local, query);
     Hit hit = result(query, scale);
@@ -121,7 +121,7 @@ bool Primitive::any_exactly(const Ray& ray, Counters* counters) const {
     RayQuery query;
     LocalRay local;
     float scale;
-    if (!prepare(ray, magnitudes_.maxCoeff(), query, local, scale)) return false;
+    if (!prepare(ray, magnitude_, query, local, scale)) return false;
     const ExactStart start(ray, scale, local, query);
     return counters ? any_local(local, query, *counters) : any_local(local, query);
 }

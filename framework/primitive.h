@@ -142,11 +142,13 @@ class Primitive {
         magnitudes_ = bounds.empty()
                           ? Vec3f(0, 0, 0)
                           : Vec3f(bounds.lower.cwiseAbs().cwiseMax(bounds.upper.cwiseAbs()));
+        magnitude_ = magnitudes_.maxCoeff();
     }
     /// Of a part.
     void set_bounds(const Bounds3& bounds, const Primitive& whole) {
         bounds_ = bounds;
         magnitudes_ = whole.magnitudes_;
+        magnitude_ = whole.magnitude_;
     }
 
   private:
@@ -156,6 +158,7 @@ class Primitive {
 
     Bounds3 bounds_;
     Vec3f magnitudes_ = Vec3f::Zero();
+    float magnitude_ = 0;  ///< the largest
 };
 
 /// Sum of statistics over a structure and every distinct one nested in it (shared objects once).

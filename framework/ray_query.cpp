@@ -14,10 +14,11 @@ using Float4 = hn::Vec<decltype(f4)>;
 
 float pow2(int exponent) { return std::bit_cast<float>(uint32_t(exponent + 127) << 23); }
 
-/// Whether lanes 0 to 2 are neither NaN nor infinite.
-bool finite3(Float4 v) {
+/// Whether lanes 0 to 2 of both are neither NaN nor infinite.
+bool finite3(Float4 v, Float4 w) {
+    const auto zero = hn::Zero(f4);
     uint8_t bits[8];
-    hn::StoreMaskBits(f4, hn::Eq(hn::Mul(v, hn::Zero(f4)), hn::Zero(f4)), bits);
+    hn::StoreMaskBits(f4, hn::Eq(hn::Add(hn::Mul(v, zero), hn::Mul(w, zero)), zero), bits);
     return (bits[0] & 7) == 7;
 }
 
@@ -31,27 +32,35 @@ void scale_extreme(const Ray& ray, float largest, RayQuery& query, float& scale)
     scale = float(down);
 }
 
-void set_shear(RayQuery& q) {
-    const float x = std::abs(q.direction[0]), y = std::abs(q.direction[1]),
-                z = std::abs(q.direction[2]);
-    q.kz = x > y ? (x > z ? 0 : 2) : (y > z ? 1 : 2);
-    q.kx = q.kz == 2 ? 0 : q.kz + 1;
-    q.ky = q.kx == 2 ? 0 : q.kx + 1;
-    q.shear_z = 1.0f / q.direction[q.kz];
-    q.shear_x = q.direction[q.kx] * q.shear_z;
-    q.shear_y = q.direction[q.ky] * q.shear_z;
+/// @param d     a direction; of the query it is d·down. Read from where the caller's ray is, since
+///              what was just stored as a vector is slow to load by component.
+/// @param down  a power of two, and `up` its inverse
+HWY_INLINE void set_shear(RayQuery& q, const float* d, float down, float up) {
+    const float x = std::abs(d[0]), y = std::abs(d[1]), z = std::abs(d[2]);
+    // By arithmetic: which axis is the largest cannot be foretold.
+    const int not_x = int(!(x > y)), not_z = int((x > y ? x : y) > z);
+    q.kz = 2 - not_z * (2 - not_x);
+    static constexpr int next[5] = {0, 1, 2, 0, 1};
+    q.kx = next[q.kz + 1];
+    q.ky = next[q.kz + 2];
+    q.shear_z = 1.0f / d[q.kz] * up;
+    q.shear_x = d[q.kx] * down * q.shear_z;
+    q.shear_y = d[q.ky] * down * q.shear_z;
 }
 
 /// Everything of a LocalRay that follows from origin, direction and pad.
+/// @param inverse  1/d
 /// @param limit  of |rcp|: a direction component below 1/limit moves the ray by less than the least
 ///               pad over any distance within the object, and may be replaced by that bound
-void complete(LocalRay& ray, Float4 o, Float4 d, Float4 pad, float t_min, float magnitude,
-              float limit) {
-    pad = hn::Add(pad, hn::Set(f4, 0x1p-40f * magnitude));
+HWY_INLINE void complete(LocalRay& ray, Float4 o, Float4 d, Float4 inverse, Float4 pad, float t_min,
+              float magnitude, float limit) {
+    const auto replaced = hn::Gt(hn::Abs(inverse), hn::Set(f4, limit));
+    // Enough to move the origin to the next float at least.
+    pad = hn::Add(hn::Add(pad, hn::Set(f4, 0x1p-40f * magnitude)),
+                  hn::IfThenElseZero(replaced, hn::Mul(hn::Abs(o), hn::Set(f4, 0x1p-22f))));
     if (HWY_UNLIKELY(t_min < 0))
         pad = hn::Add(
             pad, hn::Mul(hn::Set(f4, 4 * box_slack), hn::Add(hn::Abs(o), hn::Set(f4, magnitude))));
-    const auto inverse = hn::Div(hn::Set(f4, 1.0f), d);
     const auto rcp = hn::CopySign(hn::Min(hn::Abs(inverse), hn::Set(f4, limit)), d);
     const auto shift = hn::CopySign(pad, rcp);
     hn::StoreU(o, f4, ray.origin);
@@ -71,36 +80,42 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
     const auto d = hn::LoadU(f4, ray.direction.data());
     const float largest = std::max(std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])),
                                    std::abs(ray.direction[2]));
-    if (!(largest > 0) || !(ray.t_min <= ray.t_max) || !finite3(o) || !finite3(d)) return false;
+    if (!(largest > 0) || !(ray.t_min <= ray.t_max) || !finite3(o, d)) return false;
 
+    auto scaled = d, inverse = hn::Div(hn::Set(f4, 1.0f), d);
     const int exponent = int(std::bit_cast<uint32_t>(largest) >> 23) - 127;
-    if (HWY_LIKELY(exponent >= -126 && exponent <= 126)) {
+    if (HWY_LIKELY(exponent >= -60 && exponent <= 60)) {
+        // The quotient does not wait for the power of two. It is infinite too early for components
+        // below 2^-128, which `complete` replaces anyway.
         const float down = pow2(-exponent), up = pow2(exponent);
-        hn::StoreU(hn::Mul(d, hn::Set(f4, down)), f4, q.direction);
+        scaled = hn::Mul(d, hn::Set(f4, down));
+        inverse = hn::Mul(inverse, hn::Set(f4, up));
         q.set_min(ray.t_min * up);
         q.set_best(ray.t_max * up);
         scale = down;
+        hn::StoreU(scaled, f4, q.direction);
+        set_shear(q, ray.direction.data(), down, up);
     } else {
         scale_extreme(ray, largest, q, scale);
+        scaled = hn::LoadU(f4, q.direction);
+        inverse = hn::Div(hn::Set(f4, 1.0f), scaled);
+        set_shear(q, q.direction, 1, 1);
     }
     hn::StoreU(o, f4, q.origin);
-    set_shear(q);
     q.instance = 0;
     q.hit_ids = nullptr;
 
-    // The rounding of v - o in a leaf test, and its error across a large triangle: see LocalRay.
     local.frame = nullptr;
-    const auto pad =
-        hn::Add(hn::Mul(hn::Abs(o), hn::Set(f4, 0x1p-21f)), hn::Set(f4, 0x1p-20f * magnitude));
-    complete(local, o, hn::LoadU(f4, q.direction), pad, q.t_min, magnitude, 0x1p60f);
+    complete(local, o, scaled, inverse, hn::Zero(f4), q.t_min, magnitude, 0x1p60f);
     return true;
 }
 
 void finish(LocalRay& ray, const RayQuery& query, float magnitude) {
     const float largest = std::max(std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])),
                                    std::abs(ray.direction[2]));
-    complete(ray, hn::LoadU(f4, ray.origin), hn::LoadU(f4, ray.direction), hn::LoadU(f4, ray.pad),
-             query.t_min, magnitude, 0x1p60f / largest);
+    const auto d = hn::LoadU(f4, ray.direction);
+    complete(ray, hn::LoadU(f4, ray.origin), d, hn::Div(hn::Set(f4, 1.0f), d),
+             hn::LoadU(f4, ray.pad), query.t_min, magnitude, 0x1p60f / largest);
 }
 
 ShapeGroups IdTable::groups(uint32_t size) const {

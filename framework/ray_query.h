@@ -33,20 +33,24 @@ struct InstanceFrame {
 /// A ray in one object's space, prepared for conservative box tests.
 ///
 /// A plane at b is met at fl(fl(b - near_origin)·rcp) or later and fl(fl(b - far_origin)·far_rcp)
-/// or earlier, the origins shifted by `pad` apart. The shift covers (a) the rounding of the origin,
-/// if it was transformed, (b) what a leaf test errs by, (c) the replacement of 1/d by a finite
-/// number where d is 0 or tiny.
+/// or earlier, the origins shifted by `pad` apart. The shift covers (a) in an instance, the
+/// rounding of its map and of the origin, and (c) the replacement of 1/d by a finite number where d
+/// is 0 or tiny. What a leaf test errs by, (b), is in `box_slack` and in the boxes themselves.
 ///
 /// As for (b): a test that works with s(v) = fl(fl(v_x - o_x) - fl(sx·fl(v_z - o_z))), z the main
 /// axis of the ray, accepts only rays that meet the triangle of such rounded corners. So there is a
 /// point p of the exact triangle, a mean of its corners, that the ray passes at no more than the
-/// mean of their errors: 2u·|v_x - o_x| + 5u·|sx|·|v_z - o_z| each. With |v - o| <= |v - p| + |p -
-/// o|, and |sx|·|p_z - o_z| = |p_x - o_x| on the ray, this is 7u·|p - o| per axis, and 7u times the
-/// triangle's extent on any axis, at most 14u·magnitude. `box_slack` covers what grows with |p -
-/// o|, and |o| has a share of `pad` for its rounding; for the extent, `pad` has 2^-20·magnitude in
-/// the world (in an instance its map's errors are larger than that). Nothing here asks that the box
-/// hold all of the triangle: it must hold p. Boxes of parts do as well, as long as the parts cover
-/// the triangle.
+/// same mean of their errors. A corner's error is at most u·|v_x - o_x| + 4u·|sx|·|v_z - o_z|, the
+/// factor sx having two roundings, and u·|s(v)| of the difference. Now |v - o| <= |v - p| + |p -
+/// o|; the mean of |v - p| on an axis is at most half the triangle's extent there; and |sx|·|p_z -
+/// o_z| = |p_x - o_x| on the ray. That makes 5u·|p_x - o_x| + u·extent_x + 2.5u·extent_z.
+/// `box_slack` covers the first, and boxes of triangles are larger by the others:
+/// TriangleSet::slack. So a scene's size does not make its small parts thick. Nothing here asks
+/// that a box hold all of the triangle: it must hold p with that slack. Boxes of parts do as well,
+/// as long as the parts cover the triangle.
+///
+/// A structure that follows the ray by other means than boxes of shapes takes 5u·(|o| + magnitude)
+/// and, since an extent is at most 2·magnitude, 7u·magnitude: ThickRay.
 ///
 /// Since `box_slack` shrinks a negative far distance, `pad` has that share too where t_min is
 /// negative.

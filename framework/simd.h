@@ -67,18 +67,26 @@ HWY_INLINE ShearedCorners<D> shear(D d, const TriangleBlock<W>& block, size_t la
 }
 
 /// One lane again, in double: see refine_triangle, and Mode::double_precision.
-template <bool Framed, int W>
-HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const RayQuery& q,
-                              const InstanceFrame* frame, float& t, float& u, float& v) {
+/// @param corner  of a triangle, in object space
+template <bool Framed>
+HWY_NOINLINE bool refine_corners(const Vec3f (&corner)[3], const RayQuery& q,
+                                 const InstanceFrame* frame, float& t, float& u, float& v) {
     float corners[3][3];
     for (int k = 0; k < 3; ++k) {
-        Vec3f p(block.v[k][0][lane], block.v[k][1][lane], block.v[k][2][lane]);
+        Vec3f p = corner[k];
         if constexpr (Framed) p = apply(frame->world_from_object_f, p);
         for (int a = 0; a < 3; ++a) corners[k][a] = p[a];
     }
     if (!refine_triangle(corners, q, t, u, v)) return false;
     if (q.mode == Mode::double_precision) t = exact::refined_t(corners, q, t);
     return true;
+}
+
+template <bool Framed, int W>
+HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const RayQuery& q,
+                              const InstanceFrame* frame, float& t, float& u, float& v) {
+    const Vec3f corner[3] = {block.corner(lane, 0), block.corner(lane, 1), block.corner(lane, 2)};
+    return refine_corners<Framed>(corner, q, frame, t, u, v);
 }
 
 /// Mode::exact: every triangle of the block by the oracle's filter, and where that is unsure, by
@@ -89,8 +97,7 @@ HWY_NOINLINE bool test_block_exactly(const TriangleBlock<W>& block, const LocalR
     for (int lane = 0; lane < W; ++lane) {
         Vec3f v[3];
         for (int k = 0; k < 3; ++k) {
-            v[k] = Vec3f(block.v[k][0][lane], block.v[k][1][lane], block.v[k][2][lane]);
-            v[k] = apply(ray.frame->world_from_object_f, v[k]);
+            v[k] = apply(ray.frame->world_from_object_f, block.corner(lane, k));
         }
         // A spare lane holds NaN.
         if (block.id[lane] != no_id && exact::test_triangle(Q, v, ids, block.id[lane], q))
@@ -99,7 +106,7 @@ HWY_NOINLINE bool test_block_exactly(const TriangleBlock<W>& block, const LocalR
     return false;
 }
 
-/// Tests the triangles of one block, in world space (Woop, Benthin, Wald 2013).
+/// Tests N triangles by their sheared corners (Woop, Benthin, Wald 2013).
 ///
 /// An edge function is the difference of two rounded products of rounded, shared coordinates.
 /// Rounding is monotone, so a nonzero sign is right; a zero is decided in double, where the
@@ -107,80 +114,108 @@ HWY_NOINLINE bool test_block_exactly(const TriangleBlock<W>& block, const LocalR
 /// whose t might be off by more than 2^-15 are recomputed in double; the criterion compares the
 /// spread of depth that an error of the sheared corners can cause with t. In mode `fast` nothing is
 /// recomputed, and in `double` every hit is.
+///
+/// @param source  z(k): the third coordinate of corner k; used(mask): the lanes that hold a
+///                triangle, of those in mask; refine(i, q, t, u, v): see refine_triangle; id(i)
+template <Query Q, class D, class Source>
+HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y)[3],
+                             const Source& source, RayQuery& q, const IdTable& ids) {
+    constexpr size_t N = hn::MaxLanes(D());
+    const auto zero = hn::Zero(d);
+    const auto a = hn::Sub(hn::Mul(x[2], y[1]), hn::Mul(y[2], x[1]));
+    const auto b = hn::Sub(hn::Mul(x[0], y[2]), hn::Mul(y[0], x[2]));
+    const auto e = hn::Sub(hn::Mul(x[1], y[0]), hn::Mul(y[1], x[0]));
+    const auto low = hn::Min(hn::Min(a, b), e), high = hn::Max(hn::Max(a, b), e);
+    // Both comparisons are false for a lane of NaN.
+    auto hit = source.used(hn::Or(hn::Ge(low, zero), hn::Le(high, zero)));
+    if (HWY_LIKELY(hn::AllFalse(d, hit))) return false;
+
+    const auto det = hn::Add(hn::Add(a, b), e);
+    const auto rdet = hn::Div(hn::Set(d, 1.0f), det);
+    const auto sz = hn::Set(d, q.shear_z);
+    const auto za = hn::Mul(source.z(0), sz), zb = hn::Mul(source.z(1), sz),
+               zc = hn::Mul(source.z(2), sz);
+    const auto z_low = hn::Min(hn::Min(za, zb), zc), z_high = hn::Max(hn::Max(za, zb), zc);
+    hit = hn::And(
+        hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)), hn::Ge(z_high, hn::Set(d, q.t_low))));
+    if (hn::AllFalse(d, hit)) return false;
+    const auto wb = hn::Mul(b, rdet), wc = hn::Mul(e, rdet);
+    auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)), hn::Mul(wc, zc));
+    t = hn::Min(hn::Max(t, z_low), z_high);
+
+    // Written so that NaN (an area of zero) is no area.
+    const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
+    auto sure = hit;
+    if (HWY_UNLIKELY(q.mode == Mode::fast)) {
+        const auto inside =
+            hn::And(hn::Ge(t, hn::Set(d, q.t_min)), hn::Le(t, hn::Set(d, q.t_best)));
+        hit = hn::And(hit, hn::And(has_area, inside));
+    } else {
+        const auto reach = hn::Max(
+            hn::Max(hn::Max(hn::Abs(x[0]), hn::Abs(y[0])), hn::Max(hn::Abs(x[1]), hn::Abs(y[1]))),
+            hn::Max(hn::Abs(x[2]), hn::Abs(y[2])));
+        const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
+        const auto spread = hn::Mul(hn::Mul(hn::Mul(reach, hn::Abs(rdet)), hn::Sub(z_high, z_low)),
+                                    hn::Mul(distance, hn::Set(d, 8.0f)));
+        sure = hn::And(hn::And(hn::Lt(spread, hn::Abs(t)), has_area),
+                       hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
+        // Where even the largest error, with the roundings of t itself, leaves t outside the
+        // interval, nothing needs to be sure.
+        const auto error =
+            hn::MulAdd(spread, hn::Set(d, 0x1p-14f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
+        const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
+                                    hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
+        hit = hn::AndNot(hn::And(outside, has_area), hit);
+    }
+    if (hn::AllFalse(d, hit)) return false;
+
+    alignas(64) float ts[N], us[N], vs[N];
+    hn::Store(t, d, ts);
+    hn::Store(wb, d, us);
+    hn::Store(wc, d, vs);
+    uint8_t hit_bits[8] = {}, sure_bits[8] = {};
+    hn::StoreMaskBits(d, hit, hit_bits);
+    hn::StoreMaskBits(d, sure, sure_bits);
+    uint32_t open = hit_bits[0], exact = sure_bits[0];
+    if (HWY_UNLIKELY(q.mode == Mode::double_precision)) exact = 0;
+    for (; open; open &= open - 1) {
+        const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(open));
+        if (HWY_UNLIKELY(!(exact >> i & 1)) && !source.refine(i, q, ts[i], us[i], vs[i])) continue;
+        if (!(ts[i] >= q.t_min && ts[i] <= q.t_best)) continue;
+        if constexpr (Q == Query::any) return true;
+        q.record(ts[i], us[i], vs[i], ids, source.id(i));
+    }
+    return false;
+}
+
+/// N lanes of a block, for test_corners.
+template <bool Framed, int W, class D>
+struct BlockLanes {
+    const TriangleBlock<W>& block;
+    size_t lane;
+    const InstanceFrame* frame;
+    const ShearedCorners<D>& corners;
+
+    HWY_INLINE hn::Vec<D> z(int k) const { return corners.z[k]; }
+    template <class M>
+    HWY_INLINE M used(M mask) const {
+        return mask;
+    }
+    HWY_INLINE bool refine(uint32_t i, const RayQuery& q, float& t, float& u, float& v) const {
+        return refine_lane<Framed>(block, lane + i, q, frame, t, u, v);
+    }
+    HWY_INLINE uint32_t id(uint32_t i) const { return block.id[lane + i]; }
+};
+
+/// Tests the triangles of one block, in world space.
 template <Query Q, bool Framed, int W>
 HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, RayQuery& q,
                            const IdTable& ids) {
     const Lanes<W> d;
-    constexpr size_t N = hn::MaxLanes(Lanes<W>());
-    const auto zero = hn::Zero(d);
-    for (size_t lane = 0; lane < W; lane += N) {
+    for (size_t lane = 0; lane < W; lane += hn::MaxLanes(Lanes<W>())) {
         const auto c = shear<Framed>(d, block, lane, q, ray.frame);
-        const auto a = hn::Sub(hn::Mul(c.x[2], c.y[1]), hn::Mul(c.y[2], c.x[1]));
-        const auto b = hn::Sub(hn::Mul(c.x[0], c.y[2]), hn::Mul(c.y[0], c.x[2]));
-        const auto e = hn::Sub(hn::Mul(c.x[1], c.y[0]), hn::Mul(c.y[1], c.x[0]));
-        const auto low = hn::Min(hn::Min(a, b), e), high = hn::Max(hn::Max(a, b), e);
-        // Both comparisons are false for a lane of NaN.
-        auto hit = hn::Or(hn::Ge(low, zero), hn::Le(high, zero));
-        if (HWY_LIKELY(hn::AllFalse(d, hit))) continue;
-
-        const auto det = hn::Add(hn::Add(a, b), e);
-        const auto rdet = hn::Div(hn::Set(d, 1.0f), det);
-        const auto sz = hn::Set(d, q.shear_z);
-        const auto za = hn::Mul(c.z[0], sz), zb = hn::Mul(c.z[1], sz), zc = hn::Mul(c.z[2], sz);
-        const auto z_low = hn::Min(hn::Min(za, zb), zc), z_high = hn::Max(hn::Max(za, zb), zc);
-        hit = hn::And(
-            hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)), hn::Ge(z_high, hn::Set(d, q.t_low))));
-        if (hn::AllFalse(d, hit)) continue;
-        const auto wb = hn::Mul(b, rdet), wc = hn::Mul(e, rdet);
-        auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)), hn::Mul(wc, zc));
-        t = hn::Min(hn::Max(t, z_low), z_high);
-
-        // Written so that NaN (an area of zero) is no area.
-        const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
-        auto sure = hit;
-        if (HWY_UNLIKELY(q.mode == Mode::fast)) {
-            const auto inside =
-                hn::And(hn::Ge(t, hn::Set(d, q.t_min)), hn::Le(t, hn::Set(d, q.t_best)));
-            hit = hn::And(hit, hn::And(has_area, inside));
-        } else {
-            const auto reach = hn::Max(hn::Max(hn::Max(hn::Abs(c.x[0]), hn::Abs(c.y[0])),
-                                               hn::Max(hn::Abs(c.x[1]), hn::Abs(c.y[1]))),
-                                       hn::Max(hn::Abs(c.x[2]), hn::Abs(c.y[2])));
-            const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
-            const auto spread =
-                hn::Mul(hn::Mul(hn::Mul(reach, hn::Abs(rdet)), hn::Sub(z_high, z_low)),
-                        hn::Mul(distance, hn::Set(d, 8.0f)));
-            sure = hn::And(hn::And(hn::Lt(spread, hn::Abs(t)), has_area),
-                           hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
-            // Where even the largest error, with the roundings of t itself, leaves t outside the
-            // interval, nothing needs to be sure.
-            const auto error =
-                hn::MulAdd(spread, hn::Set(d, 0x1p-14f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
-            const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
-                                        hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
-            hit = hn::AndNot(hn::And(outside, has_area), hit);
-        }
-        if (hn::AllFalse(d, hit)) continue;
-
-        alignas(64) float ts[N], us[N], vs[N];
-        hn::Store(t, d, ts);
-        hn::Store(wb, d, us);
-        hn::Store(wc, d, vs);
-        uint8_t hit_bits[8] = {}, sure_bits[8] = {};
-        hn::StoreMaskBits(d, hit, hit_bits);
-        hn::StoreMaskBits(d, sure, sure_bits);
-        uint32_t open = hit_bits[0] | (N > 8 ? uint32_t(hit_bits[1]) << 8 : 0);
-        uint32_t exact = sure_bits[0] | (N > 8 ? uint32_t(sure_bits[1]) << 8 : 0);
-        if (HWY_UNLIKELY(q.mode == Mode::double_precision)) exact = 0;
-        for (; open; open &= open - 1) {
-            const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(open));
-            if (HWY_UNLIKELY(!(exact >> i & 1)) &&
-                !refine_lane<Framed>(block, lane + i, q, ray.frame, ts[i], us[i], vs[i]))
-                continue;
-            if (!(ts[i] >= q.t_min && ts[i] <= q.t_best)) continue;
-            if constexpr (Q == Query::any) return true;
-            q.record(ts[i], us[i], vs[i], ids, block.id[lane + i]);
-        }
+        const BlockLanes<Framed, W, Lanes<W>> source{block, lane, ray.frame, c};
+        if (test_corners<Q>(d, c.x, c.y, source, q, ids)) return true;
     }
     return false;
 }

@@ -7,6 +7,16 @@
 #include "framework/error.h"
 
 namespace crofton {
+namespace {
+
+/// 1.1u of the extent on an axis and 2.6u of the largest. Scaled before the subtraction, which then
+/// cannot overflow.
+Vec3f slack_of(const Bounds3& b) {
+    const Vec3f u = b.upper * 0x1p-24f - b.lower * 0x1p-24f;
+    return (u * 1.1f).array() + u.maxCoeff() * 2.6f;
+}
+
+}  // namespace
 
 TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids,
                          ShapeGroups groups)
@@ -35,11 +45,18 @@ bool TriangleSet::active(uint32_t i) const {
     return vertex(i, 0).allFinite() && vertex(i, 1).allFinite() && vertex(i, 2).allFinite();
 }
 
-Bounds3 TriangleSet::bounds(uint32_t i) const {
+Bounds3 TriangleSet::corner_bounds(uint32_t i) const {
     Bounds3 b;
     for (int k = 0; k < 3; ++k) b.extend(vertex(i, k));
     return b;
 }
+
+Bounds3 TriangleSet::bounds(uint32_t i) const {
+    const Bounds3 b = corner_bounds(i);
+    return grown(b, slack_of(b));
+}
+
+Vec3f TriangleSet::slack(uint32_t i) const { return slack_of(corner_bounds(i)); }
 
 double TriangleSet::cost(uint32_t) const { return cost_constants.triangle_block / 4; }
 
@@ -86,7 +103,7 @@ Bounds3 TriangleSet::clipped_bounds(uint32_t i, const Bounds3& box) const {
         out.lower[a] = std::nextafter(float(lower[a]), -INFINITY);
         out.upper[a] = std::nextafter(float(upper[a]), INFINITY);
     }
-    return intersection(out, intersection(box, bounds(i)));
+    return intersection(out, intersection(box, corner_bounds(i)));
 }
 
 uint32_t TriangleLeaves::add(const TriangleSet& set, std::span<const uint32_t> shapes) {
@@ -136,8 +153,8 @@ bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float&
     // exact signs on them partition the plane without gaps.
     float px[3], py[3];
     double x[3], y[3], z[3];
-    const double sx = double(q.direction[k[0]]) / q.direction[k[2]];
-    const double sy = double(q.direction[k[1]]) / q.direction[k[2]];
+    const double per_z = 1.0 / q.direction[k[2]];
+    const double sx = q.direction[k[0]] * per_z, sy = q.direction[k[1]] * per_z;
     for (int i = 0; i < 3; ++i) {
         const float pz = v[i][k[2]] - q.origin[k[2]];
         px[i] = (v[i][k[0]] - q.origin[k[0]]) - q.shear_x * pz;
@@ -145,7 +162,7 @@ bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float&
         const double zi = double(v[i][k[2]]) - q.origin[k[2]];
         x[i] = (double(v[i][k[0]]) - q.origin[k[0]]) - sx * zi;
         y[i] = (double(v[i][k[1]]) - q.origin[k[1]]) - sy * zi;
-        z[i] = zi / q.direction[k[2]];
+        z[i] = zi * per_z;
     }
     // Products of two floats are exact in double, and a difference keeps its sign.
     const double e[3] = {double(px[2]) * py[1] - double(py[2]) * px[1],
@@ -160,7 +177,8 @@ bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float&
     const double det = b[0] + b[1] + b[2];
     const bool inside =
         positive ? b[0] >= 0 && b[1] >= 0 && b[2] >= 0 : b[0] <= 0 && b[1] <= 0 && b[2] <= 0;
-    double weights[3] = {b[0] / det, b[1] / det, b[2] / det};
+    const double per_det = 1.0 / det;
+    double weights[3] = {b[0] * per_det, b[1] * per_det, b[2] * per_det};
     // Where double sees the ray pass outside, or too little area for weights, the boundary is
     // within the rounding of the shear: its nearest point is the hit. (The plane would be met
     // anywhere if it is seen edge-on; a structure may rely on a hit being a point of the triangle.)

@@ -35,8 +35,13 @@ class TriangleSet {
     uint32_t size() const { return uint32_t(triangles_.size()); }
     bool active(uint32_t i) const;
     const Vec3f& vertex(uint32_t i, int k) const { return vertices_[triangles_[i][k]]; }
+    /// Box of triangle i, larger by slack(i) on every side.
     Bounds3 bounds(uint32_t i) const;
-    /// Box of the part of triangle i inside `box`, rounded outwards; empty if there is none.
+    /// How far from a point of triangle i a ray may pass that its test accepts, per axis, beyond
+    /// what grows with the distance (see LocalRay).
+    Vec3f slack(uint32_t i) const;
+    /// Box of the part of triangle i inside `box`, rounded outwards, without slack and within
+    /// `box`; empty if there is none.
     Bounds3 clipped_bounds(uint32_t i, const Bounds3& box) const;
     /// Nominal nanoseconds of one test.
     double cost(uint32_t i) const;
@@ -52,6 +57,7 @@ class TriangleSet {
     const float* coordinates() const { return vertices_->data(); }
 
   private:
+    Bounds3 corner_bounds(uint32_t i) const;
     void own(std::vector<Vec3f> positions) {
         positions_ = std::make_shared<const std::vector<Vec3f>>(std::move(positions));
         vertices_ = positions_->data();
@@ -70,6 +76,8 @@ template <int W>
 struct alignas(sizeof(float) * W) TriangleBlock {
     float v[3][3][W];  ///< [vertex][axis][lane]
     uint32_t id[W];    ///< index in the set
+
+    Vec3f corner(size_t lane, int k) const { return {v[k][0][lane], v[k][1][lane], v[k][2][lane]}; }
 };
 static_assert(sizeof(TriangleBlock<4>) == 160 && sizeof(TriangleBlock<8>) == 320);
 

@@ -1,0 +1,159 @@
+// The leaf test of TrianglePatches; included once per target, after simd.h.
+#if defined(CROFTON_FRAMEWORK_PATCH_TEST_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CROFTON_FRAMEWORK_PATCH_TEST_H_
+#undef CROFTON_FRAMEWORK_PATCH_TEST_H_
+#else
+#define CROFTON_FRAMEWORK_PATCH_TEST_H_
+#endif
+
+#include "framework/simd.h"
+#include "framework/triangle_patches.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+
+/// One number for each of a patch's eight corners, in one vector or two.
+struct PatchTable {
+    using D = Lanes<8>;
+    using V = hn::Vec<D>;
+    static constexpr size_t N = hn::MaxLanes(D()), parts = 8 / N;
+    V part[parts];
+
+    /// Of N triangles the numbers of one corner. @param corner  N indices
+    HWY_INLINE V lookup(const uint8_t* corner) const {
+        const D d;
+        const hn::Rebind<uint8_t, D> d8;
+        const hn::RebindToSigned<D> d32;
+        const auto corners = hn::PromoteTo(d32, hn::LoadU(d8, corner));
+        if constexpr (parts == 1) {
+            return hn::TableLookupLanes(part[0], hn::IndicesFromVec(d, corners));
+        } else {
+            const auto last = hn::Set(d32, int32_t(N) - 1);
+            const auto index = hn::IndicesFromVec(d, hn::And(corners, last));
+            return hn::IfThenElse(hn::RebindMask(d, hn::Gt(corners, last)),
+                                  hn::TableLookupLanes(part[1], index),
+                                  hn::TableLookupLanes(part[0], index));
+        }
+    }
+};
+
+/// A patch's corners in world space, sheared as `shear` does it: the same operations in the same
+/// order, so the same bits.
+template <bool Framed>
+struct ShearedPatch {
+    using D = PatchTable::D;
+    PatchTable x, y, z;
+
+    HWY_INLINE ShearedPatch(const TrianglePatch& patch, const RayQuery& q,
+                            const InstanceFrame* frame) {
+        const D d;
+        const auto sx = hn::Set(d, q.shear_x), sy = hn::Set(d, q.shear_y);
+        for (size_t p = 0; p < PatchTable::parts; ++p) {
+            const size_t lane = p * PatchTable::N;
+            z.part[p] = relative(d, patch, lane, q, q.kz, frame);
+            x.part[p] = hn::Sub(relative(d, patch, lane, q, q.kx, frame), hn::Mul(sx, z.part[p]));
+            y.part[p] = hn::Sub(relative(d, patch, lane, q, q.ky, frame), hn::Mul(sy, z.part[p]));
+        }
+    }
+
+  private:
+    static HWY_INLINE PatchTable::V relative(D d, const TrianglePatch& patch, size_t lane,
+                                             const RayQuery& q, int axis,
+                                             const InstanceFrame* frame) {
+        if constexpr (!Framed) {
+            return hn::Sub(hn::Load(d, patch.v[axis] + lane), hn::Set(d, q.origin[axis]));
+        } else {
+            const float* m = frame->world_from_object_f.m[axis];
+            const auto world =
+                hn::Add(hn::Add(hn::Mul(hn::Set(d, m[0]), hn::Load(d, patch.v[0] + lane)),
+                                hn::Mul(hn::Set(d, m[1]), hn::Load(d, patch.v[1] + lane))),
+                        hn::Add(hn::Mul(hn::Set(d, m[2]), hn::Load(d, patch.v[2] + lane)),
+                                hn::Set(d, m[3])));
+            return hn::Sub(world, hn::Set(d, q.origin[axis]));
+        }
+    }
+};
+
+/// N triangles of a patch, for test_corners.
+template <bool Framed>
+struct PatchLanes {
+    using D = PatchTable::D;
+    const TrianglePatch& patch;
+    const ShearedPatch<Framed>& sheared;
+    const uint32_t* ids;
+    size_t lane;
+    const InstanceFrame* frame;
+
+    HWY_INLINE hn::Vec<D> z(int k) const { return sheared.z.lookup(patch.corner[k] + lane); }
+    template <class M>
+    HWY_INLINE M used(M mask) const {
+        return hn::And(mask, hn::FirstN(D(), patch.count - lane));
+    }
+    HWY_NOINLINE bool refine(uint32_t i, const RayQuery& q, float& t, float& u, float& v) const {
+        const uint32_t k = uint32_t(lane) + i;
+        const Vec3f corner[3] = {patch.vertex(k, 0), patch.vertex(k, 1), patch.vertex(k, 2)};
+        return refine_corners<Framed>(corner, q, frame, t, u, v);
+    }
+    HWY_INLINE uint32_t id(uint32_t i) const { return ids[lane + i]; }
+};
+
+template <Query Q, bool Framed>
+HWY_INLINE bool test_patch(const TrianglePatch& patch, const uint32_t* ids, const LocalRay& ray,
+                           RayQuery& q, const IdTable& table) {
+    using D = PatchTable::D;
+    const ShearedPatch<Framed> s(patch, q, ray.frame);
+    for (size_t lane = 0; lane < patch.count; lane += PatchTable::N) {
+        hn::Vec<D> x[3], y[3];
+        for (int k = 0; k < 3; ++k) {
+            x[k] = s.x.lookup(patch.corner[k] + lane);
+            y[k] = s.y.lookup(patch.corner[k] + lane);
+        }
+        const PatchLanes<Framed> source{patch, s, ids, lane, ray.frame};
+        if (test_corners<Q>(D(), x, y, source, q, table)) return true;
+    }
+    return false;
+}
+
+template <Query Q>
+HWY_NOINLINE bool test_patch_exactly(const TrianglePatch& patch, const uint32_t* ids,
+                                     const LocalRay& ray, RayQuery& q, const IdTable& table) {
+    for (uint32_t i = 0; i < patch.count; ++i) {
+        Vec3f v[3];
+        for (int k = 0; k < 3; ++k)
+            v[k] = apply(ray.frame->world_from_object_f, patch.vertex(i, k));
+        if (exact::test_triangle(Q, v, table, ids[i], q)) return true;
+    }
+    return false;
+}
+
+/// See test_framed_block.
+template <Query Q>
+HWY_NOINLINE bool test_framed_patch(const TrianglePatch& patch, const uint32_t* ids,
+                                    const LocalRay& ray, RayQuery& q, const IdTable& table) {
+    if (HWY_UNLIKELY(q.mode == Mode::exact))
+        return test_patch_exactly<Q>(patch, ids, ray, q, table);
+    return test_patch<Q, true>(patch, ids, ray, q, table);
+}
+
+/// @param count  of patches
+template <Query Q, class C>
+HWY_INLINE bool test_leaf(const TriangleSet& set, const TrianglePatches& leaves, uint32_t first,
+                          uint32_t count, const LocalRay& ray, RayQuery& q, C& counters) {
+    const TrianglePatch* patch = leaves.patches() + first;
+    for (const TrianglePatch* const end = patch + count; patch != end; ++patch) {
+        counters.test(patch->count);
+        const uint32_t* ids = leaves.ids() + patch->first_id;
+        const bool found = HWY_UNLIKELY(ray.frame != nullptr)
+                               ? test_framed_patch<Q>(*patch, ids, ray, q, set.ids())
+                               : test_patch<Q, false>(*patch, ids, ray, q, set.ids());
+        if (Q == Query::any && found) return true;
+    }
+    return false;
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+#endif
