@@ -9,6 +9,8 @@
 
 #include <hwy/highway.h>
 
+#include <limits>
+
 #include "framework/counters.h"
 #include "framework/exact_leaf.h"
 #include "framework/object_set.h"
@@ -252,22 +254,31 @@ HWY_INLINE bool test_leaf(const TriangleSet& set, const TriangleLeaves& leaves, 
     return test_blocks<Q>(set, leaves.blocks() + first, count, ray, q);
 }
 
-/// Gathers up to four triangles into a block: per corner four loads and a transpose.
+/// The corner of a spare lane: no test accepts NaN.
+alignas(16) inline constexpr float no_corner[4] = {
+    std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::quiet_NaN(),
+    std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::quiet_NaN()};
+
+/// Gathers up to four triangles into a block: per corner four loads and a transpose. A triangle in
+/// two lanes would be refined and recorded twice where it is hit.
 HWY_INLINE void gather_block(const TriangleSet& set, const uint32_t* references, uint32_t count,
                              TriangleBlock<4>& block) {
+    static constexpr TriangleSet::Indices first_corner{};
     const hn::FixedTag<float, 4> d;
     const hn::FixedTag<double, 2> d2;
-    const float* xyz = set.coordinates();
+    const float* corners[4];
     const TriangleSet::Indices* tri[4];
     for (uint32_t i = 0; i < 4; ++i) {
-        block.id[i] = references[i < count ? i : 0];
-        tri[i] = set.triangles() + block.id[i];
+        const bool used = i < count;
+        block.id[i] = used ? references[i] : no_id;
+        corners[i] = used ? set.coordinates() : no_corner;
+        tri[i] = used ? set.triangles() + references[i] : &first_corner;
     }
+    const auto load = [&](int i, int k) HWY_ATTR {
+        return hn::LoadU(d, corners[i] + 3 * size_t((*tri[i])[size_t(k)]));
+    };
     for (int k = 0; k < 3; ++k) {
-        const auto p = hn::LoadU(d, xyz + 3 * size_t((*tri[0])[k]));
-        const auto q = hn::LoadU(d, xyz + 3 * size_t((*tri[1])[k]));
-        const auto r = hn::LoadU(d, xyz + 3 * size_t((*tri[2])[k]));
-        const auto s = hn::LoadU(d, xyz + 3 * size_t((*tri[3])[k]));
+        const auto p = load(0, k), q = load(1, k), r = load(2, k), s = load(3, k);
         const auto pq_low = hn::InterleaveLower(d, p, q), rs_low = hn::InterleaveLower(d, r, s);
         const auto pq_high = hn::InterleaveUpper(d, p, q), rs_high = hn::InterleaveUpper(d, r, s);
         const auto x = hn::InterleaveLower(d2, hn::BitCast(d2, pq_low), hn::BitCast(d2, rs_low));
@@ -285,7 +296,6 @@ HWY_INLINE bool test_references(const TriangleSet& set, const uint32_t* referenc
     counters.test(count);
     TriangleBlock<4> block;
     for (uint32_t i = 0; i < count; i += 4) {
-        // Spare lanes repeat the first triangle: a tie with itself changes nothing.
         gather_block(set, references + i, count - i, block);
         if (test_blocks<Q>(set, &block, 1, ray, q)) return true;
     }
