@@ -15,7 +15,7 @@ ObjectSet ObjectSet::subset(std::span<const uint32_t> objects) const {
     std::vector<Object> part;
     part.reserve(objects.size());
     for (uint32_t i : objects) part.push_back(objects_[i]);
-    return ObjectSet(std::move(part));
+    return ObjectSet(std::move(part), groups_of_part(groups_, objects));
 }
 
 double ObjectSet::cost(uint32_t i) const {

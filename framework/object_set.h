@@ -15,7 +15,7 @@ class ObjectSet {
     using Object = PlacedPrimitive;
     /// @param groups  of the scene graph that the objects come from
     explicit ObjectSet(std::vector<Object> objects, ShapeGroups groups = {});
-    /// The objects named, without their groups.
+    /// The objects named, ascending, with what is left of their groups.
     ObjectSet subset(std::span<const uint32_t> objects) const;
 
     uint32_t size() const { return uint32_t(objects_.size()); }

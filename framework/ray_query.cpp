@@ -120,11 +120,13 @@ void finish(LocalRay& ray, const RayQuery& query, float magnitude) {
 
 ShapeGroups IdTable::groups(uint32_t size) const {
     ShapeGroups groups;
-    if (runs_.size() < 2 || !whole_.empty()) return groups;
+    if (runs_.size() < 2 || size == 0) return groups;
     for (size_t r = 0; r < runs_.size(); ++r) {
-        const uint32_t end = r + 1 < runs_.size() ? runs_[r + 1].first : size;
+        const uint32_t end = r + 1 < runs_.size() ? runs_[r + 1].first : ~0u;
         if (end > runs_[r].first) groups.push_back({runs_[r].first, end});
     }
+    if (!whole_.empty()) return groups_of_part(groups, whole_);
+    groups.back().end = size;
     return groups;
 }
 

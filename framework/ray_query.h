@@ -157,7 +157,7 @@ class IdTable {
     }
     size_t bytes() const { return runs_.size() * sizeof(Run) + whole_.size() * sizeof(uint32_t); }
     /// A group for each run: the geometries of a mesh, or the meshes that were put together; none
-    /// for one run, or in a part of a set.
+    /// for one run.
     /// @param size  shapes in the set
     ShapeGroups groups(uint32_t size) const;
 

@@ -38,6 +38,7 @@ TriangleSet TriangleSet::subset(std::span<const uint32_t> shapes) const {
     part.triangles_.reserve(shapes.size());
     for (uint32_t i : shapes) part.triangles_.push_back(triangles_[i]);
     part.ids_ = ids_.subset(shapes);
+    part.groups_ = groups_of_part(groups_, shapes);
     return part;
 }
 

@@ -23,7 +23,8 @@ class TriangleSet {
     TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids = {},
                 ShapeGroups groups = {});
     TriangleSet() : TriangleSet({}, {}) {}
-    /// The triangles named, with their ids in this set but not its groups; vertices are shared.
+    /// The triangles named, ascending, with their ids in this set and what is left of its groups;
+    /// vertices are shared.
     TriangleSet subset(std::span<const uint32_t> shapes) const;
     template <class A>
     void archive(A& a) {

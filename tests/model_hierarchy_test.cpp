@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cstring>
+#include <functional>
 
 #include "framework/registry.h"
 #include "framework/triangle_set.h"
@@ -86,6 +87,52 @@ TEST_CASE("model_hierarchy: geometries of a mesh are its groups where nothing el
     CHECK(set.groups()[1].first == m);
     CHECK(set.groups()[1].end == 2 * m);
     CHECK(TriangleSet(p, t).groups().empty());
+}
+
+TEST_CASE("model_hierarchy: a part of a set keeps what is left of the model's groups") {
+    const std::vector<uint32_t> shapes{1, 2, 5, 13, 14, 16, 58};
+    const ShapeGroups part =
+        row(60, {{0, 40}, {0, 12}, {3, 9}, {12, 30}, {20, 27}, {50, 58}})->subset(shapes).groups();
+    const ShapeGroups left{{0, 6}, {0, 3}, {2, 3}, {3, 6}};
+    REQUIRE(part.size() == left.size());
+    for (size_t i = 0; i < left.size(); ++i) {
+        CHECK(part[i].first == left[i].first);
+        CHECK(part[i].end == left[i].end);
+    }
+
+    // Geometries of a mesh; a part of a part.
+    const IdTable ids({{0, 0, 0, 0}, {10, 1, 0, 0}, {14, 2, 0, 0}});
+    const std::vector<uint32_t> some{1, 3, 6};
+    const ShapeGroups runs = ids.subset(shapes).subset(some).groups(3);
+    REQUIRE(runs.size() == 3);
+    for (uint32_t i = 0; i < 3; ++i) CHECK((runs[i].first == i && runs[i].end == i + 1));
+    CHECK(ids.subset({}).groups(0).empty());
+}
+
+TEST_CASE("model_hierarchy: the lazy parts of a model are hierarchies of its groups") {
+    // Pairs of neighbours: without groups, a leaf takes up to four.
+    ShapeGroups pairs;
+    for (uint32_t i = 0; i < 256; i += 2) pairs.push_back({i, i + 2});
+    const auto lazy = accelerator("model_hierarchy")
+                          .build(row(256, pairs), {{"lazy", true}, {"lazy_size", int64_t(64)}});
+    size_t leaves = 0, largest = 0;
+    const std::function<void(const Primitive&)> visit = [&](const Primitive& p) {
+        if (p.type_name() == "model_hierarchy" && total_statistics(p).N_OIV == p.statistics().N_OIV)
+            p.walk([&](const Bounds3&, uint32_t, bool leaf, uint32_t references) {
+                leaves += leaf;
+                if (leaf) largest = std::max<size_t>(largest, references);
+            });
+        p.children(visit);
+    };
+    Ray ray;
+    for (int i = 0; i < 256; ++i) {
+        ray.origin = Vec3f(float(i) + 0.5f, float(i % 7) + 0.5f, 5);
+        ray.direction = Vec3f(0, 0, -1);
+        lazy->intersect(ray);
+    }
+    visit(*lazy);
+    CHECK(leaves >= 128);
+    CHECK(largest <= 2);
 }
 
 TEST_CASE("model_hierarchy: a chain of 100,000 groups, and 100,000 members of one, end") {
