@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "experiments/experiment.h"
@@ -66,12 +67,21 @@ std::string range_text(const ParameterInfo& p) {
     return text;
 }
 
+std::string text_of(const ParameterInfo& p) {
+    return fmt::format("      {} = {} ({}{}): {}\n", p.name, to_string(p.default_value), type_of(p),
+                       range_text(p), p.description);
+}
+
+bool is_common(const ParameterInfo& p) {
+    return std::ranges::any_of(common_parameters(),
+                               [&](const ParameterInfo& c) { return c.name == p.name; });
+}
+
 std::string text_of(const AcceleratorInfo& info) {
     std::string text =
         fmt::format("  {}: {}\n      source: {}\n", info.name, info.summary, info.source);
     for (const ParameterInfo& p : info.parameters)
-        text += fmt::format("      {} = {} ({}{}): {}\n", p.name, to_string(p.default_value),
-                            type_of(p), range_text(p), p.description);
+        if (!is_common(p)) text += text_of(p);
     return text;
 }
 
@@ -103,6 +113,8 @@ std::string catalog_json() {
 std::string catalog_text() {
     std::string text = "Accelerators:\n";
     for (const auto& [name, info] : accelerators()) text += text_of(info);
+    text += "  and each of them:\n";
+    for (const ParameterInfo& p : common_parameters()) text += text_of(p);
     text += "\nWorkloads:\n";
     for (const auto& [name, summary] : workload_types())
         text += "  " + name + ": " + summary + "\n";

@@ -149,9 +149,11 @@ std::shared_ptr<const Primitive> load_accelerator(const std::string& name, Struc
     return accelerator(name).load(in);
 }
 
+std::vector<ParameterInfo> common_parameters() { return list_parameters<LazyOptions>(); }
+
 bool register_accelerator(AcceleratorInfo info) {
     const std::string name = info.name;
-    const std::vector<ParameterInfo> common = list_parameters<LazyOptions>();
+    const std::vector<ParameterInfo> common = common_parameters();
     info.parameters.insert(info.parameters.end(), common.begin(), common.end());
     // Every build first makes sure that an instruction set is chosen.
     info.build = [inner = std::move(info.build), all = info.parameters, common](

@@ -64,6 +64,8 @@ void register_peer(AcceleratorInfo info);
 /// @throws InputError  unknown accelerator, with the nearest valid name
 const AcceleratorInfo& accelerator(const std::string& name);
 std::vector<std::string> accelerator_names();
+/// Those that every accelerator has behind its own.
+std::vector<ParameterInfo> common_parameters();
 
 /// Reads one of the named type. @throws InputError  an unknown name, or as StructureReader
 std::shared_ptr<const Primitive> load_accelerator(const std::string& name, StructureReader& in);
