@@ -4,6 +4,7 @@
 #define HWY_TARGET_INCLUDE "accelerators/bsp.cpp"
 #include <hwy/foreach_target.h>
 
+#include "accelerators/stored_shapes.h"
 #include "framework/accelerator.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -97,28 +98,17 @@ struct BspTraversal {
                     C& counters) {
         float t_near, t_far;
         if (tree.nodes.empty() || !meets_box(tree.box, ray, q, t_near, t_far)) return false;
-        if (HWY_UNLIKELY(tree.mailbox)) {
-            Mailbox mailbox;
-            const auto leaf = [&](const uint32_t* references, uint32_t count) HWY_ATTR {
-                return mailbox.test_fresh(
-                    references, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
-                        return test_references<Q>(set, fresh, n, ray, q, counters);
-                    });
-            };
-            return follow(tree, ray, q, counters, leaf);
-        }
-        return follow(tree, ray, q, counters,
-                      [&](const uint32_t* references, uint32_t count) HWY_ATTR {
-                          return test_references<Q>(set, references, count, ray, q, counters);
-                      });
+        return test_lists<Q>(tree.mailbox, tree.shapes, set, ray, q, counters,
+                             [&](const auto& test)
+                                 HWY_ATTR { return follow(tree, ray, q, counters, test); });
     }
 
   private:
     /// Front to back with an explicit stack, as in a kd-tree; where the thick ray meets a plane
     /// within the cell, both sides are visited, their intervals overlapping.
-    template <class Set, class C, class Leaf>
+    template <class Set, class C, class Test>
     static HWY_INLINE bool follow(const Bsp<Set>& tree, const LocalRay& ray, RayQuery& q,
-                                  C& counters, const Leaf& test) {
+                                  C& counters, const Test& test) {
         const BspRay thick(tree, ray, q);
         const BspNode* nodes = tree.nodes.data();
         Entry stack[Bsp<Set>::max_depth];
@@ -259,6 +249,10 @@ Bsp<Set> Bsp<Set>::build(const Set& set, const BspParameters& p) {
     tree.nodes.assign(data.nodes.begin(), data.nodes.end());
     tree.planes.assign(data.planes.begin(), data.planes.end());
     tree.references.assign(data.references.begin(), data.references.end());
+    tree.shapes = ShapeStore<Set>(set);
+    for (BspNode& node : tree.nodes)
+        if (node.is_leaf()) place_leaf(set, node.value, node.count(), tree.references, tree.shapes);
+    tree.shapes.finish();
     tree.box = data.box;
     tree.magnitude = data.box.magnitude();
     tree.cost = data.cost;
@@ -281,7 +275,7 @@ Bsp<Set> Bsp<Set>::build(const Set& set, const BspParameters& p) {
         open.emplace_back(index + 1, depth + 1);
     }
     tree.stats.bytes = tree.nodes.size() * sizeof(BspNode) + tree.planes.size() * sizeof(BspPlane) +
-                       tree.references.size() * sizeof(uint32_t);
+                       tree.references.size() * sizeof(uint32_t) + tree.shapes.bytes();
     const double n = double(shapes.references.size());
     double cost_sum = 0;
     for (const BuildReference& r : shapes.references) cost_sum += r.cost;

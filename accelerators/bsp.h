@@ -2,6 +2,7 @@
 
 #include "accelerators/bsp_build.h"
 #include "accelerators/mailbox.h"
+#include "accelerators/shape_store.h"
 #include "framework/aligned.h"
 #include "framework/primitive.h"
 
@@ -63,12 +64,13 @@ struct BspParameters {
 template <class Set>
 struct Bsp {
     static constexpr const char* name = "bsp";
-    static constexpr bool reads_set = true;
+    static constexpr bool reads_set = ShapeStore<Set>::keeps_set;
     static constexpr int max_depth = BspTreeData::max_depth;
 
     AlignedVector<BspNode> nodes;  ///< depth first, the root first; empty: no shapes
     AlignedVector<BspPlane> planes;
     AlignedVector<uint32_t> references;
+    ShapeStore<Set> shapes;
     Bounds3 box;
     float magnitude = 0;    ///< of the box
     bool diagonal = false;  ///< there are planes of bsp_direction other than axes
@@ -79,7 +81,7 @@ struct Bsp {
     static Bsp build(const Set& set, const BspParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(nodes, planes, references, box, magnitude, diagonal, mailbox, cost, stats);
+        a(nodes, planes, references, shapes, box, magnitude, diagonal, mailbox, cost, stats);
     }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }

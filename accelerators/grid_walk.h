@@ -9,63 +9,12 @@
 
 #include "accelerators/cell_blocks.h"
 #include "accelerators/grid_space.h"
-#include "accelerators/shape_store.h"
+#include "accelerators/stored_shapes.h"
 #include "framework/counters.h"
-#include "framework/simd.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
-
-/// What fills spare lanes: no test accepts NaN.
-alignas(16) inline constexpr TriangleRecord no_triangle = [] {
-    TriangleRecord r{};
-    for (auto& corner : r.corner)
-        for (float& x : corner) x = std::numeric_limits<float>::quiet_NaN();
-    return r;
-}();
-
-/// Up to four triangles into a block: per corner four loads and a transpose, which brings the
-/// indices along. A triangle in two lanes would be recorded twice where it is hit.
-HWY_INLINE void load_records(const TriangleRecord* records, const uint32_t* references,
-                             uint32_t count, TriangleBlock<4>& block) {
-    const hn::FixedTag<float, 4> d;
-    const hn::FixedTag<double, 2> d2;
-    const hn::FixedTag<uint32_t, 4> du;
-    const TriangleRecord* r[4];
-    for (uint32_t i = 0; i < 4; ++i) r[i] = i < count ? records + references[i] : &no_triangle;
-    for (int k = 0; k < 3; ++k) {
-        const auto a = hn::Load(d, r[0]->corner[k]), b = hn::Load(d, r[1]->corner[k]);
-        const auto e = hn::Load(d, r[2]->corner[k]), f = hn::Load(d, r[3]->corner[k]);
-        const auto ab_low = hn::BitCast(d2, hn::InterleaveLower(d, a, b));
-        const auto ef_low = hn::BitCast(d2, hn::InterleaveLower(d, e, f));
-        const auto ab_high = hn::BitCast(d2, hn::InterleaveUpper(d, a, b));
-        const auto ef_high = hn::BitCast(d2, hn::InterleaveUpper(d, e, f));
-        hn::Store(hn::BitCast(d, hn::InterleaveLower(d2, ab_low, ef_low)), d, block.v[k][0]);
-        hn::Store(hn::BitCast(d, hn::InterleaveUpper(d2, ab_low, ef_low)), d, block.v[k][1]);
-        hn::Store(hn::BitCast(d, hn::InterleaveLower(d2, ab_high, ef_high)), d, block.v[k][2]);
-        if (k == 0)
-            hn::Store(hn::BitCast(du, hn::InterleaveUpper(d2, ab_high, ef_high)), du, block.id);
-    }
-}
-
-/// Tests what references mean. @return whether an `any` query is answered
-template <Query Q, class Set, class C>
-HWY_INLINE bool test_stored(const ShapeStore<Set>& store, const Set& set,
-                            const uint32_t* references, uint32_t count, const LocalRay& ray,
-                            RayQuery& q, C& counters) {
-    if constexpr (ShapeStore<Set>::keeps_set) {
-        return test_references<Q>(set, references, count, ray, q, counters);
-    } else {
-        counters.test(count);
-        TriangleBlock<4> block;
-        for (uint32_t i = 0; i < count; i += 4) {
-            load_records(store.records(), references + i, count - i, block);
-            if (test_blocks<Q>(set, &block, 1, ray, q)) return true;
-        }
-        return false;
-    }
-}
 
 /// Three doubles: x and y in one vector, z in both lanes of another.
 struct Triple {

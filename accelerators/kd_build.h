@@ -20,6 +20,7 @@ namespace crofton {
 ///           bits 2–31: index of the child below the plane (the one above is the next), or how many
 ///           references
 struct KdNode {
+    static constexpr int axis_bits = 2;
     uint32_t value;
     uint32_t bits;
 

@@ -4,6 +4,7 @@
 #define HWY_TARGET_INCLUDE "accelerators/kdtree.cpp"
 #include <hwy/foreach_target.h>
 
+#include "accelerators/stored_shapes.h"
 #include "accelerators/thick_ray.h"
 #include "framework/accelerator.h"
 
@@ -13,29 +14,17 @@ namespace HWY_NAMESPACE {
 
 struct KdTreeTraversal {
     struct Entry {
-        KdNode node;
+        const KdNode* node;
         float t_enter, t_leave;
     };
 
     template <Query Q, class Set, class C>
     static bool run(const KdTree<Set>& tree, const Set& set, const LocalRay& ray, RayQuery& q,
                     C& counters) {
-        float t_near, t_far;
-        if (tree.nodes.empty() || !meets_box(tree.box, ray, q, t_near, t_far)) return false;
-        if (HWY_UNLIKELY(tree.mailbox)) {
-            Mailbox mailbox;
-            const auto leaf = [&](const uint32_t* references, uint32_t count) HWY_ATTR {
-                return mailbox.test_fresh(
-                    references, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
-                        return test_references<Q>(set, fresh, n, ray, q, counters);
-                    });
-            };
-            return follow(tree, ray, q, counters, leaf);
-        }
-        return follow(tree, ray, q, counters,
-                      [&](const uint32_t* references, uint32_t count) HWY_ATTR {
-                          return test_references<Q>(set, references, count, ray, q, counters);
-                      });
+        if (tree.nodes.empty()) return false;
+        return test_lists<Q>(tree.mailbox, tree.shapes, set, ray, q, counters,
+                             [&](const auto& test)
+                                 HWY_ATTR { return follow(tree, ray, q, counters, test); });
     }
 
   private:
@@ -45,38 +34,44 @@ struct KdTreeTraversal {
     ///
     /// Of a plane's three cases only one has a branch, to the second side alone: else the first
     /// side is next, whatever becomes of the second, and its node can load before the test is
-    /// through.
-    template <class Set, class C, class Leaf>
+    /// through. From node to node this is the longest chain, so which side is first takes two
+    /// instructions.
+    template <class Set, class C, class Test>
     static HWY_INLINE bool follow(const KdTree<Set>& tree, const LocalRay& ray, RayQuery& q,
-                                  C& counters, const Leaf& test) {
+                                  C& counters, const Test& test) {
         const ThickRay thick(tree.box, tree.magnitude, ray, q);
+        if (!(thick.t_enter <= thick.t_leave)) return false;
+        // Shifted by all bits of a node, that is by the axis alone.
+        static_assert(KdNode::axis_bits == 2);
+        const uint32_t down = thick.down * 0x11111111u;
         const KdNode* nodes = tree.nodes.data();
+        const KdNode* node = nodes;
         Entry stack[KdTree<Set>::max_depth];
         Entry* top = stack;
-        KdNode node = nodes[0];
         float t_enter = thick.t_enter, t_leave = thick.t_leave;
         while (true) {
-            while (!node.is_leaf()) {
+            while (!node->is_leaf()) {
                 counters.step();
-                const ThickRay::Axis& axis = thick.axis[node.axis()];
-                const KdNode* pair = nodes + node.child();
-                const float enter_second = axis.enter(node.split());
-                const float leave_first = axis.leave(node.split());
+                const float enter_second = thick.enter(node->axis(), node->split());
+                const float leave_first = thick.leave(node->axis(), node->split());
+                const uint32_t first = down >> (node->bits & 31) & 1;
+                const KdNode* pair = nodes + node->child();
+                const KdNode* second = pair + (first ^ 1);
                 if (leave_first < t_enter) {
-                    node = pair[axis.down ^ 1];
+                    node = second;
                     continue;
                 }
-                *top = {pair[axis.down ^ 1], std::max(t_enter, enter_second), t_leave};
+                *top = {second, std::max(t_enter, enter_second), t_leave};
                 top += !(enter_second > t_leave);
-                node = pair[axis.down];
+                node = pair + first;
                 t_leave = std::min(t_leave, leave_first);
             }
             counters.step();
-            const uint32_t count = node.count();
+            const uint32_t count = node->count();
             counters.cell(count == 0);
             if (count > 0) {
                 const uint32_t* references =
-                    count == 1 ? &node.value : tree.references.data() + node.value;
+                    count == 1 ? &node->value : tree.references.data() + node->value;
                 if (test(references, count)) return true;
             }
             // Overlapping intervals do not begin in strict order, so each is looked at.
@@ -119,6 +114,10 @@ KdTree<Set> KdTree<Set>::build(const Set& set, const KdTreeParameters& p) {
 
     tree.nodes.assign(data.nodes.begin(), data.nodes.end());
     tree.references.assign(data.references.begin(), data.references.end());
+    tree.shapes = ShapeStore<Set>(set);
+    for (KdNode& n : tree.nodes)
+        if (n.is_leaf()) place_leaf(set, n.value, n.count(), tree.references, tree.shapes);
+    tree.shapes.finish();
     tree.box = data.box;
     tree.magnitude = data.box.magnitude();
     tree.cost = data.cost;
@@ -129,8 +128,8 @@ KdTree<Set> KdTree<Set>::build(const Set& set, const KdTreeParameters& p) {
         tree.stats.N_OIV += references;
         tree.stats.depth = std::max(tree.stats.depth, depth);
     });
-    tree.stats.bytes =
-        tree.nodes.size() * sizeof(KdNode) + tree.references.size() * sizeof(uint32_t);
+    tree.stats.bytes = tree.nodes.size() * sizeof(KdNode) +
+                       tree.references.size() * sizeof(uint32_t) + tree.shapes.bytes();
     tree.mailbox = wants_mailbox(p.mailbox, std::is_same_v<Set, ObjectSet>,
                                  double(tree.stats.N_OIV), n, cost_sum / n);
     return tree;

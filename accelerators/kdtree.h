@@ -2,6 +2,7 @@
 
 #include "accelerators/kd_build.h"
 #include "accelerators/mailbox.h"
+#include "accelerators/shape_store.h"
 #include "framework/aligned.h"
 #include "framework/primitive.h"
 
@@ -35,11 +36,12 @@ struct KdTreeParameters {
 template <class Set>
 struct KdTree {
     static constexpr const char* name = "kdtree";
-    static constexpr bool reads_set = true;
+    static constexpr bool reads_set = ShapeStore<Set>::keeps_set;
     static constexpr int max_depth = KdTreeData::max_depth;
 
     AlignedVector<KdNode> nodes;  ///< as KdTreeData has them; empty: no shapes
     AlignedVector<uint32_t> references;
+    ShapeStore<Set> shapes;
     Bounds3 box;
     float magnitude = 0;  ///< of the box
     bool mailbox = false;
@@ -49,7 +51,7 @@ struct KdTree {
     static KdTree build(const Set& set, const KdTreeParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(nodes, references, box, magnitude, mailbox, cost, stats);
+        a(nodes, references, shapes, box, magnitude, mailbox, cost, stats);
     }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }

@@ -4,6 +4,7 @@
 #define HWY_TARGET_INCLUDE "accelerators/octree.cpp"
 #include <hwy/foreach_target.h>
 
+#include "accelerators/stored_shapes.h"
 #include "accelerators/thick_ray.h"
 #include "framework/accelerator.h"
 
@@ -27,19 +28,14 @@ class OctantIntervals {
         alignas(16) constexpr float bit_0[4] = {0, 1, 0, 1}, bit_1[4] = {0, 0, 1, 1};
         x_ = hn::Gt(hn::Load(d, bit_0), hn::Zero(d));
         y_ = hn::Gt(hn::Load(d, bit_1), hn::Zero(d));
-        const auto lanes = [&](float ThickRay::Axis::*member) HWY_ATTR {
-            alignas(16) const float v[4] = {ray.axis[0].*member, ray.axis[1].*member,
-                                            ray.axis[2].*member, 0};
-            return hn::Load(d, v);
-        };
-        near_origin_ = lanes(&ThickRay::Axis::near_origin);
-        far_origin_ = lanes(&ThickRay::Axis::far_origin);
-        rcp_ = lanes(&ThickRay::Axis::rcp);
+        near_origin_ = hn::Load(d, ray.near_origin);
+        far_origin_ = hn::Load(d, ray.far_origin);
+        rcp_ = hn::Load(d, ray.rcp);
     }
     /// @return bit k: child k has an interval
     HWY_INLINE uint32_t set(const OctreeNode& node, float t_enter, float t_leave) {
         const D d;
-        // ThickRay::Axis::enter and leave of the three planes; the fourth lane means nothing.
+        // ThickRay::enter and leave of the three planes; the fourth lane means nothing.
         const auto planes = hn::LoadU(d, node.plane);
         const auto in = hn::Mul(hn::Sub(planes, near_origin_), rcp_);
         const auto out = hn::Mul(hn::Sub(planes, far_origin_), rcp_);
@@ -79,32 +75,20 @@ struct OctreeTraversal {
     template <Query Q, class Set, class C>
     static bool run(const Octree<Set>& tree, const Set& set, const LocalRay& ray, RayQuery& q,
                     C& counters) {
-        float t_near, t_far;
-        if (tree.nodes.empty() || !meets_box(tree.box, ray, q, t_near, t_far)) return false;
-        if (HWY_UNLIKELY(tree.mailbox)) {
-            Mailbox mailbox;
-            const auto leaf = [&](const uint32_t* references, uint32_t count) HWY_ATTR {
-                return mailbox.test_fresh(
-                    references, count, [&](const uint32_t* fresh, uint32_t n) HWY_ATTR {
-                        return test_references<Q>(set, fresh, n, ray, q, counters);
-                    });
-            };
-            return follow(tree, ray, q, counters, leaf);
-        }
-        return follow(tree, ray, q, counters,
-                      [&](const uint32_t* references, uint32_t count) HWY_ATTR {
-                          return test_references<Q>(set, references, count, ray, q, counters);
-                      });
+        if (tree.nodes.empty()) return false;
+        return test_lists<Q>(tree.mailbox, tree.shapes, set, ray, q, counters,
+                             [&](const auto& test)
+                                 HWY_ATTR { return follow(tree, ray, q, counters, test); });
     }
 
   private:
-    template <class Set, class C, class Leaf>
+    template <class Set, class C, class Test>
     static HWY_INLINE bool follow(const Octree<Set>& tree, const LocalRay& ray, RayQuery& q,
-                                  C& counters, const Leaf& test) {
+                                  C& counters, const Test& test) {
         constexpr bool counting = !std::is_same_v<C, NoCounters>;
         const ThickRay thick(tree.box, tree.magnitude, ray, q);
-        const uint32_t flip =
-            thick.axis[0].down | thick.axis[1].down << 1 | thick.axis[2].down << 2;
+        if (!(thick.t_enter <= thick.t_leave)) return false;
+        const uint32_t flip = thick.down;
         OctantIntervals octants(thick);
         Entry stack[7 * Octree<Set>::max_depth + 8];
         Entry* top = stack;
@@ -388,6 +372,11 @@ Octree<Set> Octree<Set>::build(const Set& set, const OctreeParameters& p) {
 
     tree.nodes.assign(all.nodes.begin(), all.nodes.end());
     tree.references.assign(all.references.begin(), all.references.end());
+    tree.shapes = ShapeStore<Set>(set);
+    for (const OctreeNode& node : tree.nodes)
+        if (node.is_leaf())
+            tree.shapes.place(set, std::span(tree.references).subspan(node.first, node.count()));
+    tree.shapes.finish();
     tree.magnitude = tree.box.magnitude();
     tree.walk([&](const Bounds3&, uint32_t d, bool leaf, uint32_t references) {
         tree.stats.N_IN += !leaf;
@@ -396,8 +385,8 @@ Octree<Set> Octree<Set>::build(const Set& set, const OctreeParameters& p) {
         tree.stats.N_OIV += references;
         tree.stats.depth = std::max(tree.stats.depth, d);
     });
-    tree.stats.bytes =
-        tree.nodes.size() * sizeof(OctreeNode) + tree.references.size() * sizeof(uint32_t);
+    tree.stats.bytes = tree.nodes.size() * sizeof(OctreeNode) +
+                       tree.references.size() * sizeof(uint32_t) + tree.shapes.bytes();
     tree.mailbox = wants_mailbox(p.mailbox, std::is_same_v<Set, ObjectSet>,
                                  double(tree.stats.N_OIV), n, cost_sum / n);
     return tree;

@@ -3,6 +3,7 @@
 #include <bit>
 
 #include "accelerators/mailbox.h"
+#include "accelerators/shape_store.h"
 #include "framework/aligned.h"
 #include "framework/primitive.h"
 
@@ -69,11 +70,12 @@ static_assert(sizeof(OctreeNode) == 20);
 template <class Set>
 struct Octree {
     static constexpr const char* name = "octree";
-    static constexpr bool reads_set = true;
+    static constexpr bool reads_set = ShapeStore<Set>::keeps_set;
     static constexpr int max_depth = OctreeParameters::depth_limit;
 
     AlignedVector<OctreeNode> nodes;  ///< the root first; empty: no shapes
     AlignedVector<uint32_t> references;
+    ShapeStore<Set> shapes;
     Bounds3 box;
     float magnitude = 0;  ///< of the box
     bool mailbox = false;
@@ -83,7 +85,7 @@ struct Octree {
     static Octree build(const Set& set, const OctreeParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(nodes, references, box, magnitude, mailbox, cost, stats);
+        a(nodes, references, shapes, box, magnitude, mailbox, cost, stats);
     }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }

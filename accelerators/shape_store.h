@@ -25,6 +25,7 @@ class ShapeStore {
 
     /// The reference to a shape.
     uint32_t place(const Set&, uint32_t shape) { return shape; }
+    void place(const Set&, std::span<uint32_t>) {}
     /// Called after the last `place`.
     void finish() {}
     template <class A>
@@ -34,12 +35,10 @@ class ShapeStore {
 
 /// A triangle with its corners, so that a test loads one place, not three after the indices.
 ///
-///   byte  0  x, y, z of corner 0; index in the set
-///        16  of corner 1; unused        32  of corner 2; unused
-struct alignas(16) TriangleRecord {
-    float corner[3][3 + 1];
-};
-static_assert(sizeof(TriangleRecord) == 48);
+///   byte  0  x, y, z of corner 0        12  of corner 1        24  of corner 2
+///        36  index in the set
+using TriangleRecord = TriangleBlock<1>;
+static_assert(sizeof(TriangleRecord) == 40);
 
 /// Triangles are copied, once each, in the order in which cells first name them: neighbours in
 /// space are then neighbours in memory.
@@ -57,10 +56,13 @@ class ShapeStore<TriangleSet> {
         TriangleRecord& record = records_.emplace_back();
         for (int k = 0; k < 3; ++k) {
             const Vec3f& v = set.vertex(shape, k);
-            std::copy(v.data(), v.data() + 3, record.corner[k]);
-            record.corner[k][3] = std::bit_cast<float>(shape);
+            for (int a = 0; a < 3; ++a) record.v[k][a][0] = v[a];
         }
+        record.id[0] = shape;
         return place;
+    }
+    void place(const TriangleSet& set, std::span<uint32_t> shapes) {
+        for (uint32_t& shape : shapes) shape = place(set, shape);
     }
     void finish() {
         places_ = {};
@@ -78,6 +80,17 @@ class ShapeStore<TriangleSet> {
     AlignedVector<TriangleRecord> records_;
     std::vector<uint32_t> places_;  ///< while building
 };
+
+/// Replaces the shapes of a leaf by references to them.
+/// @param value  where the leaf's list begins in `references`, or, if it has one shape, that one
+template <class Set>
+void place_leaf(const Set& set, uint32_t& value, uint32_t count,
+                AlignedVector<uint32_t>& references, ShapeStore<Set>& shapes) {
+    if (count == 1)
+        value = shapes.place(set, value);
+    else
+        shapes.place(set, std::span(references).subspan(value, count));
+}
 
 /// A list of references in one array of words, by a code in one word:
 ///   single_flag | r   the list of reference r alone
