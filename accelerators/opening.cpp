@@ -4,13 +4,15 @@
 #include <numeric>
 
 #include "accelerators/tree_build.h"
+#include "framework/cost.h"
 #include "framework/parallel.h"
 
 namespace crofton {
 namespace {
 
-constexpr size_t most_visits = 4096;       // nodes that one query of overlap looks into
-constexpr size_t all_visits = 1u << 27;    // and all queries of a round
+constexpr size_t most_visits = 4096;     // nodes that one query of overlap looks into
+constexpr size_t all_visits = 1u << 27;  // and all queries of a round
+constexpr double least_saving = 0.95;  // the expected cost must fall to this, or nothing is opened
 constexpr size_t most_entries = 1u << 24;  // as many as a scene may place meshes
 
 /// Sums of half areas over a tree of boxes, for queries of overlap.
@@ -76,6 +78,33 @@ class OverlapTree {
     size_t visits_;
 };
 
+/// Nominal ns of a line that meets the box of all entries, of a binary tree over them, by areas
+/// (MacDonald & Booth 1990).
+double tree_cost(const ObjectSet& entries) {
+    TreeCosts costs;
+    costs.node = cost_constants.node;
+    const BinaryTree tree = build_binned(build_references(entries), costs, 16, 8);
+    if (tree.empty()) return 0;
+    double sum = 0;
+    std::vector<uint32_t> open{0};
+    while (!open.empty()) {
+        const BinaryTree::Node& node = tree.nodes[open.back()];
+        open.pop_back();
+        if (node.leaf()) {
+            for (uint32_t i = node.first; i < node.first + node.count; ++i) {
+                const uint32_t e = tree.order[i];
+                sum += half_area(node.bounds) * cost_constants.object +
+                       half_area(entries.bounds(e)) * (entries.cost(e) - cost_constants.object);
+            }
+        } else {
+            sum += half_area(node.bounds) * cost_constants.node;
+            open.push_back(node.left);
+            open.push_back(node.right);
+        }
+    }
+    return sum / half_area(tree.nodes[0].bounds);
+}
+
 class Opener {
   public:
     Opener(std::vector<ObjectSet::Object> objects, double growth)
@@ -87,15 +116,32 @@ class Opener {
         closed_.assign(given_, false);
     }
 
-    OpenedObjects run() {
-        while (result_.objects.size() < budget_ && round()) {
-        }
+    OpenedObjects run(OpeningRule rule) {
+        if (rule == OpeningRule::where_it_pays)
+            open_to_least_cost();
+        else
+            while (result_.objects.size() < budget_ && round()) {
+            }
         std::vector<uint32_t> parts(given_, 0);
         for (const uint32_t origin : result_.origin) result_.opened += ++parts[origin] == 2;
         return std::move(result_);
     }
 
   private:
+    /// Keeps what is cheapest of all rounds: one that does not pay may be on the way to one that
+    /// does.
+    void open_to_least_cost() {
+        OpenedObjects best = result_;
+        double least = least_saving * tree_cost(ObjectSet(result_.objects));
+        while (result_.objects.size() < budget_ && round()) {
+            const double cost = tree_cost(ObjectSet(result_.objects));
+            if (!(cost < least)) continue;
+            least = cost;
+            best = result_;
+        }
+        result_ = std::move(best);
+    }
+
     /// Opens the entries that overlap most, until half of the budget that is left is spent: what
     /// overlaps changes with each. @return whether any was opened
     bool round() {
@@ -163,8 +209,9 @@ class Opener {
 
 }  // namespace
 
-OpenedObjects open_overlapping(std::vector<ObjectSet::Object> objects, double growth) {
-    return Opener(std::move(objects), growth).run();
+OpenedObjects open_overlapping(std::vector<ObjectSet::Object> objects, double growth,
+                               OpeningRule rule) {
+    return Opener(std::move(objects), growth).run(rule);
 }
 
 ShapeGroups moved_groups(const ShapeGroups& groups, const OpenedObjects& opened) {

@@ -100,7 +100,8 @@ TEST_CASE("parts of opened objects are saved, with their whole once") {
         const std::shared_ptr<const Primitive> ball =
             accelerator(name).build(std::make_shared<const TriangleSet>(p, t), {});
         const OpenedObjects opened = open_overlapping(
-            {{ball, 0}, {std::make_shared<Instance>(ball, translation({0.5, 0.25, 0})), 1}}, 9);
+            {{ball, 0}, {std::make_shared<Instance>(ball, translation({0.5, 0.25, 0})), 1}}, 9,
+            OpeningRule::always);
         REQUIRE(opened.opened == 2);
         const auto saved =
             accelerator("bvh").build(std::make_shared<const ObjectSet>(opened.objects), {});

@@ -14,6 +14,8 @@
 namespace crofton {
 namespace {
 
+constexpr OpeningRule always = OpeningRule::always;
+
 struct Mesh {
     std::vector<Vec3f> positions;
     std::vector<std::array<uint32_t, 3>> triangles;
@@ -93,7 +95,7 @@ TEST_CASE("opened at every budget, every structure in every other returns the sa
     for (const auto& [inner, inner_info] : accelerators()) {
         const World w = placed(build(inner, triangles), mesh, maps);
         for (const double growth : {1.0, 1.5, 2.0, 5.0, 30.0, 1000.0}) {
-            const OpenedObjects opened = open_overlapping(w.objects, growth);
+            const OpenedObjects opened = open_overlapping(w.objects, growth, always);
             CHECK(opened.objects.size() <= size_t(growth * double(w.objects.size())));
             if (growth > 1 && opened.objects.size() == w.objects.size()) continue;
             // With the reference's own bits in between, one growth for each structure above will
@@ -119,7 +121,7 @@ TEST_CASE("every choice of the structures that can be opened keeps its bits when
         for (const ParameterInfo& p : info.parameters)
             for (const std::string& choice : p.choices) {
                 const World w = placed(build(name, triangles, {{p.name, choice}}), mesh, maps);
-                const OpenedObjects opened = open_overlapping(w.objects, 60);
+                const OpenedObjects opened = open_overlapping(w.objects, 60, always);
                 if (opened.opened == 0) continue;
                 ++openable;
                 INFO(name << " " << p.name << " = " << choice);
@@ -145,7 +147,7 @@ TEST_CASE("groups of instances open into instances of parts, and dissolve into t
     for (const auto& [middle, info] : accelerators())
         for (const double growth : {5.0, 200.0}) {
             const World w = nested("bvh", middle);
-            const OpenedObjects opened = open_overlapping(w.objects, growth);
+            const OpenedObjects opened = open_overlapping(w.objects, growth, always);
             INFO(middle << " opened to " << opened.objects.size());
             CHECK(opened.opened > 0);
             CHECK(differences(*reference, *build("bvh", set_of(opened.objects)), rays) == 0);
@@ -158,11 +160,11 @@ TEST_CASE("objects that do not overlap are left alone, and parts keep the order"
     const auto object = build("bvh", triangles);
     std::vector<Transform> maps;
     for (int i = 0; i < 20; ++i) maps.push_back(translation({3.0 * i, 0, 0}));
-    CHECK(open_overlapping(placed(object, mesh, maps).objects, 100).objects.size() == 20);
+    CHECK(open_overlapping(placed(object, mesh, maps).objects, 100, always).objects.size() == 20);
 
     // Two of them meet.
     maps[7] = translation({3.0 * 8 + 0.5, 0.5, 0});
-    const OpenedObjects opened = open_overlapping(placed(object, mesh, maps).objects, 2);
+    const OpenedObjects opened = open_overlapping(placed(object, mesh, maps).objects, 2, always);
     CHECK(opened.opened == 2);
     CHECK(opened.objects.size() > 22);
     CHECK(opened.objects.size() <= 40);
@@ -175,6 +177,18 @@ TEST_CASE("objects that do not overlap are left alone, and parts keep the order"
     CHECK(opened.origin[moved[1].first] == 6);
     CHECK(opened.origin[moved[1].end - 1] == 7);
     CHECK(moved[2].first == moved[1].end);
+}
+
+TEST_CASE("boxes that overlap are not opened where a tree over the parts would cost more") {
+    // Each fills its box with a few large triangles, and the boxes are all in one place: parts are
+    // hardly smaller, and each has to be entered.
+    const Mesh mesh = ball(0);
+    const auto triangles = std::make_shared<const TriangleSet>(mesh.positions, mesh.triangles);
+    std::vector<Transform> maps;
+    for (int i = 0; i < 12; ++i) maps.push_back(turned(0.5 * i, {0.05 * i, 0, 0}, {1, 1, 1}));
+    const World w = placed(build("bvh", triangles, {{"max_leaf_size", int64_t(4)}}), mesh, maps);
+    CHECK(open_overlapping(w.objects, 8, always).opened == 12);
+    CHECK(open_overlapping(w.objects, 8).opened == 0);
 }
 
 TEST_CASE("over crossing balls opening saves tests, and parts hold no data of their own") {
