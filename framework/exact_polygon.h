@@ -4,9 +4,10 @@
 
 namespace crofton::exact {
 
-/// Polygons as PolygonSet defines them: the plane through the first corner with Newell's normal is
-/// hit where an odd number of edges, as the ray sees them, lie on one side of it, or where the ray
-/// passes through an edge. Corners off the plane count by their image along the ray.
+/// Polygons as PolygonSet defines them. As the ray sees them, it is inside if an odd number of
+/// edges crosses the x axis at x > 0, or if it passes through an edge; then the hit is on the line
+/// between the nearest crossing on either side, or on that edge. A ray that is parallel to the
+/// plane of Newell's normal misses.
 class Polygons final : public Shapes {
   public:
     /// @param first  first corner of each polygon, then the number of corners
