@@ -72,7 +72,8 @@ struct TripleMask {
         return {hn::IfThenElse(xy, yes.xy, no.xy), hn::IfThenElse(z, yes.z, no.z)};
     }
     HWY_INLINE bool all() const {
-        return hn::AllTrue(Triple::D(), xy) & hn::AllTrue(Triple::D(), z);
+        // Not &&: one branch on both.
+        return (int(hn::AllTrue(Triple::D(), xy)) & int(hn::AllTrue(Triple::D(), z))) != 0;
     }
 };
 HWY_INLINE TripleMask less(const Triple& a, const Triple& b) {

@@ -51,8 +51,11 @@ bool same_hit(const Hit& a, const Hit& b) {
 std::string checksum(const std::vector<Hit>& hits) {
     Fnv1a hash;
     for (const Hit& hit : hits) {
-        hash.add(&hit.t, sizeof hit.t);
-        hash.add(&hit.primitive, 3 * sizeof(uint32_t));
+        // Written out, so that no padding can come in.
+        const float numbers[3] = {hit.t, hit.u, hit.v};
+        const uint32_t ids[3] = {hit.primitive, hit.geometry, hit.instance};
+        hash.add(numbers, sizeof numbers);
+        hash.add(ids, sizeof ids);
     }
     return hash.hex();
 }
