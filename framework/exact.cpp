@@ -12,8 +12,9 @@ namespace {
 
 /// Whether a ray is a miss by definition.
 bool is_void(const Ray& ray) {
-    return !ray.origin.allFinite() || !ray.direction.allFinite() || ray.direction.isZero(0) ||
-           !(ray.t_min <= ray.t_max);
+    const float largest = ray.direction.cwiseAbs().maxCoeff();
+    return !ray.origin.allFinite() || !ray.direction.allFinite() || largest < 0x1p-126f ||
+           largest >= 0x1p127f || !(ray.t_min <= ray.t_max);
 }
 
 /// |a - b| in ulps: of the larger t, or of the t at which the ray is as far from its origin as that

@@ -163,9 +163,11 @@ void NearestHit::take(double lo, double hi, float t, const IdTable& ids, uint32_
     lo_ = lo;
     hi_ = hi;
     t_ = t;
-    // Exact, unless it leaves the range of floats: then up, so that nothing is culled for it.
+    // Exact, unless it leaves the range of normal floats, in the user's units or the query's: then
+    // up, so that nothing is culled for it.
     float query_t = t / scale_;
-    if (query_t * scale_ != t) query_t = std::nextafter(query_t, INFINITY);
+    if (query_t * scale_ != t || !(std::abs(t) >= std::numeric_limits<float>::min()))
+        query_t = std::nextafter(float(hi / scale_), INFINITY);
     query.replace(query_t, u, v, ids, shape);
 }
 

@@ -9,8 +9,9 @@ namespace crofton {
 
 /// A ray o + t·d for t in the closed interval [t_min, t_max]. World units; the direction needs no
 /// particular length, and t counts in units of it. A ray with a NaN, an infinite origin or
-/// direction, a zero direction, or t_min > t_max is a defined miss. The layout is that of a ray
-/// file: eight little-endian float32.
+/// direction, a direction whose largest component is below 2^-126 (zero, for one) or at least
+/// 2^127, or t_min > t_max is a defined miss. The layout is that of a ray file: eight little-endian
+/// float32.
 struct Ray {
     Vec3f origin = Vec3f::Zero();
     float t_min = 0.0f;

@@ -22,16 +22,6 @@ bool finite3(Float4 v, Float4 w) {
     return (bits[0] & 7) == 7;
 }
 
-/// Denormal or nearly infinite directions: the power of two itself is no float.
-void scale_extreme(const Ray& ray, float largest, RayQuery& query, float& scale) {
-    const int e = std::ilogb(largest);
-    const double down = std::ldexp(1.0, -e), up = std::ldexp(1.0, e);
-    for (int a = 0; a < 3; ++a) query.direction[a] = float(ray.direction[a] * down);
-    query.set_min(float(ray.t_min * up));
-    query.set_best(float(ray.t_max * up));
-    scale = float(down);
-}
-
 /// @param d     a direction; of the query it is d·down. Read from where the caller's ray is, since
 ///              what was just stored as a vector is slow to load by component.
 /// @param down  a power of two, and `up` its inverse
@@ -82,25 +72,20 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
                                    std::abs(ray.direction[2]));
     if (!(largest > 0) || !(ray.t_min <= ray.t_max) || !finite3(o, d)) return false;
 
-    auto scaled = d, inverse = hn::Div(hn::Set(f4, 1.0f), d);
+    // Of a denormal or nearly infinite direction, the power of two itself is no float.
     const int exponent = int(std::bit_cast<uint32_t>(largest) >> 23) - 127;
-    if (HWY_LIKELY(exponent >= -60 && exponent <= 60)) {
-        // The quotient does not wait for the power of two. It is infinite too early for components
-        // below 2^-128, which `complete` replaces anyway.
-        const float down = pow2(-exponent), up = pow2(exponent);
-        scaled = hn::Mul(d, hn::Set(f4, down));
-        inverse = hn::Mul(inverse, hn::Set(f4, up));
-        q.set_min(ray.t_min * up);
-        q.set_best(ray.t_max * up);
-        scale = down;
-        hn::StoreU(scaled, f4, q.direction);
-        set_shear(q, ray.direction.data(), down, up);
-    } else {
-        scale_extreme(ray, largest, q, scale);
-        scaled = hn::LoadU(f4, q.direction);
-        inverse = hn::Div(hn::Set(f4, 1.0f), scaled);
-        set_shear(q, q.direction, 1, 1);
-    }
+    if (HWY_UNLIKELY(exponent < -126 || exponent > 126)) return false;
+    const float down = pow2(-exponent), up = pow2(exponent);
+    const auto scaled = hn::Mul(d, hn::Set(f4, down));
+    // The quotient does not wait for the power of two. It would be infinite too early for
+    // components below 2^-128, which `complete` replaces if they are so much less than the largest.
+    auto inverse = hn::Mul(hn::Div(hn::Set(f4, 1.0f), d), hn::Set(f4, up));
+    if (HWY_UNLIKELY(exponent < -60)) inverse = hn::Div(hn::Set(f4, 1.0f), scaled);
+    hn::StoreU(scaled, f4, q.direction);
+    q.set_min(ray.t_min * up);
+    q.set_best(ray.t_max * up);
+    set_shear(q, ray.direction.data(), down, up);
+    scale = down;
     hn::StoreU(o, f4, q.origin);
     q.instance = 0;
     q.hit_ids = nullptr;

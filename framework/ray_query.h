@@ -115,7 +115,7 @@ struct RayQuery {
 /// Fills a ray's state, and its LocalRay in the world, from a user's ray.
 /// @param magnitude  largest absolute coordinate of the root's bounds
 /// @param scale      power of two with t_user = t·scale, to give results back
-/// @return false  for a ray that is a defined miss (NaN, infinite, zero direction, empty interval)
+/// @return false  for a ray that is a defined miss (see Ray)
 bool prepare(const Ray& ray, float magnitude, RayQuery& query, LocalRay& local, float& scale);
 
 /// Completes a LocalRay from its origin, direction and pad.

@@ -182,7 +182,11 @@ HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y
     if (HWY_UNLIKELY(q.mode == Mode::double_precision)) exact = 0;
     for (; open; open &= open - 1) {
         const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(open));
-        if (HWY_UNLIKELY(!(exact >> i & 1)) && !source.refine(i, q, ts[i], us[i], vs[i])) continue;
+        // Weights of an area that overflowed are zero or NaN.
+        const bool weighted = us[i] + vs[i] > 0;
+        if (HWY_UNLIKELY(!(exact >> i & 1) || !weighted) &&
+            !source.refine(i, q, ts[i], us[i], vs[i]))
+            continue;
         if (!(ts[i] >= q.t_min && ts[i] <= q.t_best)) continue;
         if constexpr (Q == Query::any) return true;
         q.record(ts[i], us[i], vs[i], ids, source.id(i));

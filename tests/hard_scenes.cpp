@@ -146,7 +146,8 @@ Soup powers_of_two() {
     return soup;
 }
 
-HardScene quadrics() {
+/// @param size  of the scene; also at the ends of the declared range
+HardScene quadrics(float size = 1) {
     Random random(21);
     std::vector<QuadricShape> shapes;
     HardScene scene;
@@ -166,13 +167,21 @@ HardScene quadrics() {
     shapes.push_back({QuadricKind::disc, {0, 0, 0}, 0.5f, {0, 0, 0}, 0});
     shapes.push_back({QuadricKind::cone, {0, 0, -3}, 0.5f, {0, 0, 3}, 0.5f});
     shapes.push_back({QuadricKind::disc, {1, 1, 1}, 1, {0, 0, 2}, 0.4f});
-    scene.name = "spheres, cones, cylinders, discs";
+    for (QuadricShape& s : shapes) {
+        s.p *= size;
+        s.p_radius *= size;
+        if (s.kind != QuadricKind::disc) s.q *= size;
+        s.q_radius *= size;
+    }
+    for (Vec3f& v : scene.vertices) v *= size;
+    scene.name =
+        "spheres, cones, cylinders, discs, of 10^" + std::to_string(std::lround(std::log10(size)));
     scene.set = std::make_shared<const QuadricSet>(shapes);
     scene.rays = hard_rays(bounds_of(scene.set), scene.vertices, 22);
     return scene;
 }
 
-HardScene polygons() {
+HardScene polygons(float size = 1) {
     Random random(31);
     HardScene scene;
     std::vector<Vec3f> corners;
@@ -195,7 +204,8 @@ HardScene polygons() {
     first.push_back(uint32_t(corners.size()));
     corners.insert(corners.end(), {{nan, 0, 0}, {1, 1, 1}, {2, 0, 2}});
     first.push_back(uint32_t(corners.size()));
-    scene.name = "polygons";
+    for (Vec3f& v : corners) v *= size;
+    scene.name = "polygons, of 10^" + std::to_string(std::lround(std::log10(size)));
     scene.vertices = corners;
     scene.set = std::make_shared<const PolygonSet>(corners, first);
     scene.rays = hard_rays(bounds_of(scene.set), corners, 32);
@@ -293,7 +303,7 @@ std::vector<Ray> hard_rays(const Bounds3& given, const std::vector<Vec3f>& all, 
         if (v.allFinite()) vertices.push_back(v);
     if (vertices.empty()) vertices.push_back(bounds.center());
     const Vec3f center = bounds.center(), half = bounds.extent() * 0.5f;
-    const float size = std::max(half.norm(), std::numeric_limits<float>::min());
+    const float size = std::max(half.stableNorm(), std::numeric_limits<float>::min());
     const auto inside = [&] { return Vec3f(center + random.point(1.2f).cwiseProduct(half)); };
     const auto vertex = [&] { return vertices[random.next() % vertices.size()]; };
     const auto add = [&](const Vec3f& o, const Vec3f& d, float t_min = 0, float t_max = infinity) {
@@ -367,7 +377,7 @@ std::vector<HardScene> hard_scenes() {
         triangles("a ball at 1e4", sphere(2, Vec3f::Constant(1), {1e4f, -1e4f, 1e4f}), 7, true));
     scenes.back().inside = {1e4f, -1e4f, 1e4f};
     scenes.push_back(
-        triangles("a ball of 1e-18", sphere(2, Vec3f::Constant(1e-18f), Vec3f::Zero()), 8, true));
+        triangles("a ball of 1e-20", sphere(2, Vec3f::Constant(1e-20f), Vec3f::Zero()), 8, true));
     scenes.push_back(
         triangles("a ball of 1e18", sphere(2, Vec3f::Constant(1e18f), Vec3f::Zero()), 9, true));
     scenes.push_back(triangles("integer steps", steps(12), 10));
@@ -378,8 +388,10 @@ std::vector<HardScene> hard_scenes() {
     scenes.push_back(triangles("a fan of 257", fan(257), 15));
     scenes.push_back(triangles("a ball in a stadium", ball_in_stadium(), 16));
     scenes.push_back(triangles("powers of two", powers_of_two(), 17));
-    scenes.push_back(quadrics());
-    scenes.push_back(polygons());
+    for (const float size : {1.0f, 1e-20f, 1e18f}) {
+        scenes.push_back(quadrics(size));
+        scenes.push_back(polygons(size));
+    }
     scenes.push_back(objects());
     return scenes;
 }
