@@ -64,8 +64,8 @@ struct RenderArguments : StructureArguments {
 
 struct VerifyArguments {
     VerifyOptions options;
-    std::string accelerators, mode = "robust", replay, minimised,
-                              failures = "verify_failures.jsonl";
+    std::string accelerators, recipes, mode = "robust", replay, minimised,
+                                       failures = "verify_failures.jsonl";
     bool json = false, quiet = false;
 };
 
@@ -232,6 +232,7 @@ std::vector<std::string> split_names(const std::string& text) {
 int verify(VerifyArguments arguments) {
     Progress progress(arguments.quiet);
     arguments.options.accelerators = split_names(arguments.accelerators);
+    arguments.options.recipes = split_names(arguments.recipes);
     arguments.options.mode = *mode_named(arguments.mode);
     const bool again = !arguments.replay.empty();
     if (!arguments.minimised.empty()) {
@@ -257,6 +258,7 @@ void add_verify(CLI::App& app, VerifyArguments& a) {
     sub.add_option("scene", a.options.scene,
                    "File, procedural:NAME or catalogue:NAME; otherwise all of the catalogue");
     sub.add_option("--accelerators", a.accelerators, "Names with commas between; otherwise all");
+    sub.add_option("--recipes", a.recipes, "Kinds of rays, commas between; otherwise all");
     const auto modes = mode_names();
     sub.add_option("--mode", a.mode, "Of the queries; the truth is then that of the mode")
         ->capture_default_str()

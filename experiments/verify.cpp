@@ -31,6 +31,19 @@ std::vector<std::string> checked_accelerators(const std::vector<std::string>& na
     return names.empty() ? accelerator_names() : names;
 }
 
+std::vector<Recipe> checked_recipes(const std::vector<std::string>& wanted) {
+    if (wanted.empty()) return recipes();
+    std::vector<std::string> names;
+    for (const Recipe& r : recipes()) names.push_back(r.name);
+    std::vector<Recipe> found;
+    for (const std::string& name : wanted) {
+        const auto it = std::find(names.begin(), names.end(), name);
+        if (it == names.end()) throw InputError(unknown_name("recipe", name, names));
+        found.push_back(recipes()[size_t(it - names.begin())]);
+    }
+    return found;
+}
+
 /// A scene in every accelerator, with its oracle.
 struct Bench {
     std::string name;
@@ -247,6 +260,7 @@ uint64_t VerifyReport::faults() const {
 VerifyReport verify(const VerifyOptions& options, Progress& progress) {
     VerifyReport report;
     const std::vector<std::string> accelerators = checked_accelerators(options.accelerators);
+    const std::vector<Recipe> used_recipes = checked_recipes(options.recipes);
     const std::vector<std::string> names = scene_names(options);
     progress.set_total(names.size());
     Verification verification(report);
@@ -264,12 +278,12 @@ VerifyReport verify(const VerifyOptions& options, Progress& progress) {
         AimPoints aim(scene);
         Pcg32 rng(mix(options.seed), s);
         aim.find_inside(bench.oracle, rng);
-        for (size_t r = 0; r < recipes().size(); ++r) {
+        for (size_t r = 0; r < used_recipes.size(); ++r) {
             // The total comes out as asked for, the first cases taking what is left over.
-            const uint64_t cases = names.size() * recipes().size();
-            const uint64_t index = s * recipes().size() + r;
+            const uint64_t cases = names.size() * used_recipes.size();
+            const uint64_t index = s * used_recipes.size() + r;
             const uint64_t rays = options.rays / cases + (index < options.rays % cases);
-            verification.run(bench, aim, recipes()[r], std::max<uint64_t>(1, rays),
+            verification.run(bench, aim, used_recipes[r], std::max<uint64_t>(1, rays),
                              mix(options.seed) + mix(index));
         }
     }

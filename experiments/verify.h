@@ -17,6 +17,7 @@ namespace crofton {
 struct VerifyOptions {
     std::string scene;  ///< as scene_source takes it, or "catalogue:NAME"; empty: the catalogue
     std::vector<std::string> accelerators;  ///< empty: all
+    std::vector<std::string> recipes;       ///< of rays; empty: all
     uint64_t rays = 100000;  ///< in all, spread evenly over scenes and recipes; at least one each
     uint64_t seed = 1;
     /// Of the queries. For `exact` the oracle gets triangles as they are placed, which is what that
@@ -92,7 +93,7 @@ struct VerifyReport {
 Scene verify_scene(const std::string& name);
 
 /// Traces hard rays with every accelerator and compares each answer with the oracle's.
-/// @throws InputError  unknown scene or accelerator, with the nearest valid name
+/// @throws InputError  unknown scene, accelerator or recipe, with the nearest valid name
 VerifyReport verify(const VerifyOptions& options, Progress& progress);
 
 /// The same with the rays of a file that `write_failing` made.

@@ -65,6 +65,17 @@ TEST_CASE("verify: no accelerator has a fault in the catalogue") {
     CHECK(hits > 2000);
 }
 
+TEST_CASE("verify: recipes are chosen by name") {
+    VerifyOptions options = of("catalogue:ball", {"bvh"}, 500, 4);
+    options.recipes = {"vertex", "edge"};
+    const VerifyReport report = run(options);
+    REQUIRE(report.cases.size() == 2);
+    CHECK(report.cases[1].recipe == "edge");
+    CHECK(report.rays == 500);
+    options.recipes = {"vertec"};
+    CHECK_THROWS_AS(run(options), InputError);
+}
+
 TEST_CASE("verify: what was a fault once is none in any accelerator") {
     const std::string file = std::string(CROFTON_SOURCE_DIR) + "/tests/regressions/verify.jsonl";
     Progress quiet(true);
