@@ -1,11 +1,15 @@
 #include "framework/primitive.h"
 
 #include <hwy/base.h>
+#include <hwy/cache_control.h>
 
+#include <algorithm>
 #include <cassert>
+#include <new>
 #include <unordered_set>
 
 #include "framework/exact_nearest.h"
+#include "framework/ray_order.h"
 
 namespace crofton {
 namespace {
@@ -53,6 +57,44 @@ void add_statistics(const Primitive& p, std::unordered_set<const Primitive*>& se
 
 }  // namespace
 
+bool Primitive::is_large() const {
+    uint8_t known = size_known_.load(std::memory_order_relaxed);
+    if (known == unknown_size) {
+        StructureStatistics sum;
+        std::unordered_set<const Primitive*> seen;
+        add_statistics(*this, seen, sum);
+        known = sum.bytes > RayOrder::large_structure ? large_size : small_size;
+        size_known_.store(known, std::memory_order_relaxed);
+    }
+    return known == large_size;
+}
+
+template <class Trace>
+void Primitive::in_good_order(std::span<const Ray> rays, const Trace& trace) const {
+    const auto as_given = [&](size_t begin, size_t end) {
+        for (size_t i = begin; i < end; ++i) trace(i);
+    };
+    if (rays.size() < RayOrder::least_batch || bounds_.empty() || !is_large() ||
+        !RayOrder::are_scattered(rays, bounds_))
+        return as_given(0, rays.size());
+    thread_local RayOrder order;
+    for (size_t begin = 0; begin < rays.size(); begin += RayOrder::most_batch) {
+        const auto batch = rays.subspan(begin, std::min(RayOrder::most_batch, rays.size() - begin));
+        std::span<const uint32_t> sorted;
+        try {
+            sorted = order.sort(batch, bounds_);
+        } catch (const std::bad_alloc&) {
+            as_given(begin, begin + batch.size());
+            continue;
+        }
+        constexpr size_t ahead = 8;
+        for (size_t i = 0; i < sorted.size(); ++i) {
+            if (i + ahead < sorted.size()) hwy::Prefetch(&batch[sorted[i + ahead]]);
+            trace(begin + sorted[i]);
+        }
+    }
+}
+
 Hit Primitive::intersect(const Ray& ray, Mode mode) const {
     if (HWY_UNLIKELY(mode == Mode::exact)) return closest_exactly(ray, nullptr);
     RayQuery query;
@@ -76,12 +118,12 @@ bool Primitive::occluded(const Ray& ray, Mode mode) const {
 
 void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode) const {
     assert(rays.size() == hits.size());
-    for (size_t i = 0; i < rays.size(); ++i) hits[i] = intersect(rays[i], mode);
+    in_good_order(rays, [&](size_t i) { hits[i] = intersect(rays[i], mode); });
 }
 
 void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, Mode mode) const {
     assert(rays.size() == results.size());
-    for (size_t i = 0; i < rays.size(); ++i) results[i] = occluded(rays[i], mode);
+    in_good_order(rays, [&](size_t i) { results[i] = occluded(rays[i], mode); });
 }
 
 Hit Primitive::intersect(const Ray& ray, Counters& counters, Mode mode) const {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -82,7 +83,8 @@ class Primitive {
     /// Whether anything is hit with t in [ray.t_min, ray.t_max].
     bool occluded(const Ray& ray, Mode mode = Mode::robust) const;
     /// The same for many rays; results are in the order of the rays and equal the single calls bit
-    /// for bit. Spans must have equal length.
+    /// for bit. Thousands of rays that jump about in a structure larger than the last cache are
+    /// traced in a better order: see RayOrder. Spans must have equal length.
     void intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode = Mode::robust) const;
     void occluded(std::span<const Ray> rays, std::span<uint8_t> results,
                   Mode mode = Mode::robust) const;
@@ -159,6 +161,15 @@ class Primitive {
     Bounds3 bounds_;
     Vec3f magnitudes_ = Vec3f::Zero();
     float magnitude_ = 0;  ///< the largest
+
+    /// Whether the whole, all inside included, has RayOrder::large_structure bytes; found when
+    /// first asked.
+    bool is_large() const;
+    /// Calls trace(i) for every ray.
+    template <class Trace>
+    void in_good_order(std::span<const Ray> rays, const Trace& trace) const;
+    enum : uint8_t { unknown_size, small_size, large_size };
+    mutable std::atomic<uint8_t> size_known_ = unknown_size;
 };
 
 /// Sum of statistics over a structure and every distinct one nested in it (shared objects once).
