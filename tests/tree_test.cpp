@@ -101,8 +101,8 @@ bool leaves_cover(const BinaryTree& tree, const TriangleSet& set) {
             const Vec3d slack = p.cwiseAbs() * 1e-15 + Vec3d::Constant(1e-300) +
                                 set.bounds(t).extent().cast<double>() * 1e-15;
             for (const Bounds3& b : boxes[t])
-                found = found || ((b.lower.cast<double>() - slack).array() <= p.array()).all() &&
-                                     ((b.upper.cast<double>() + slack).array() >= p.array()).all();
+                found |= ((b.lower.cast<double>() - slack).array() <= p.array()).all() &&
+                         ((b.upper.cast<double>() + slack).array() >= p.array()).all();
             if (!found) return false;
         }
     }
