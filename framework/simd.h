@@ -120,11 +120,13 @@ HWY_NOINLINE bool test_block_exactly(const TriangleBlock<W>& block, const LocalR
 /// depth in units of t, and distance = reach + zt: since |v_z - o_z| <= 2·zt, a sheared coordinate
 /// errs by 2u·reach + 10u·zt at most (see LocalRay), so an edge function by 4·reach·10u·distance,
 /// and with its own roundings by 44u·reach·distance. Weights are three of them over their sum, det,
-/// and what they weigh lies within the spread of depths: t errs by
-/// 132u·reach·distance·|1/det|·(z_high - z_low) = 132u·`spread` in first order; of the higher
-/// orders it is enough that t stays within the depths. The depths' own roundings and those of the
-/// sum are 8u·(|t| + z_high - z_low), and z_high - z_low <= 4·spread, as |det| <= 4·reach². In sum
-/// less than 512u·spread + 8u·|t|; and less than 32u·|t| where 8·spread < |t|.
+/// and what they weigh lies within the spread of depths: t errs by k·(z_high - z_low) to first
+/// order, k = 132u·`steep`, steep = reach·distance/|det|, and by k/(1 - k) of it in all, which is
+/// at most 152u·steep where steep < 2^14. The depths' own roundings and those of the sum are
+/// 8u·(|t| + z_high - z_low), and 1 <= 4·steep, as |det| <= 4·reach². If
+/// in double the ray turns out to pass outside, the hit is the nearest point of the edges, which is
+/// 20u·spread away in depth. In sum 216u·spread + 8u·|t|, spread = steep·(z_high - z_low); and less
+/// than 32u·|t| where 8·spread < |t|.
 ///
 /// @param source  z(k): the third coordinate of corner k; used(mask): the lanes that hold a
 ///                triangle, of those in mask; refine(i, q, t, u, v): see refine_triangle; id(i)
@@ -166,17 +168,17 @@ HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y
             hn::Max(hn::Max(hn::Abs(x[0]), hn::Abs(y[0])), hn::Max(hn::Abs(x[1]), hn::Abs(y[1]))),
             hn::Max(hn::Abs(x[2]), hn::Abs(y[2])));
         const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
-        const auto spread =
-            hn::Mul(hn::Mul(hn::Mul(reach, hn::Abs(rdet)), hn::Sub(z_high, z_low)), distance);
+        const auto steep = hn::Mul(hn::Mul(reach, hn::Abs(rdet)), distance);
+        const auto spread = hn::Mul(steep, hn::Sub(z_high, z_low));
         sure = hn::And(hn::And(hn::Lt(hn::Mul(spread, hn::Set(d, 8.0f)), hn::Abs(t)), has_area),
                        hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
         // Where even the largest error, with the roundings of t itself, leaves t outside the
         // interval, nothing needs to be sure.
         const auto error =
-            hn::MulAdd(spread, hn::Set(d, 0x1p-15f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-18f)));
+            hn::MulAdd(spread, hn::Set(d, 0x1.bp-17f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-20f)));
         const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
                                     hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
-        hit = hn::AndNot(hn::And(outside, has_area), hit);
+        hit = hn::AndNot(hn::And(outside, hn::Lt(steep, hn::Set(d, 0x1p14f))), hit);
     }
     if (hn::AllFalse(d, hit)) return false;
 
