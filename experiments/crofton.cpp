@@ -7,6 +7,7 @@
 #include <iostream>
 #include <memory>
 
+#include "experiments/calibrate.h"
 #include "experiments/camera.h"
 #include "experiments/catalog.h"
 #include "experiments/experiment.h"
@@ -60,6 +61,10 @@ struct RenderArguments : StructureArguments {
     std::string eye, at, up;
     double fov = 0;
     int width = 640, height = 480;
+};
+
+struct CalibrateArguments {
+    bool json = false, cached = false;
 };
 
 struct VerifyArguments {
@@ -276,6 +281,26 @@ void add_verify(CLI::App& app, VerifyArguments& a) {
     sub.add_flag("--quiet", a.quiet, "No progress");
 }
 
+int calibrate(const CalibrateArguments& arguments) {
+    if (arguments.cached) {
+        ensure_calibration();
+    } else {
+        set_calibration(measure_calibration());
+        write_calibration(calibration(), calibration_path(calibration().machine));
+    }
+    const Calibration& c = calibration();
+    fmt::print("{}", arguments.json ? calibration_json(c) : calibration_text(c));
+    if (!arguments.json) fmt::print("\nCached: {}\n", calibration_path(c.machine));
+    return 0;
+}
+
+void add_calibrate(CLI::App& app, CalibrateArguments& a) {
+    CLI::App& sub = *app.add_subcommand(
+        "calibrate", "Measure what this machine's rays, builds and memory cost, and cache it");
+    sub.add_flag("--json", a.json, "As JSON");
+    sub.add_flag("--cached", a.cached, "Show what is cached; measure only if nothing is");
+}
+
 void add_run(CLI::App& app, RunArguments& a) {
     CLI::App& sub =
         *app.add_subcommand("run", "Run an experiment: build, check, time, count, draw");
@@ -363,6 +388,7 @@ int dispatch(int argc, char** argv) {
     BuildArguments build_arguments;
     ExportArguments export_arguments;
     VerifyArguments verify_arguments;
+    CalibrateArguments calibrate_arguments;
     bool list_json = false;
     add_run(app, run_arguments);
     add_inspect(app, inspect_arguments);
@@ -370,6 +396,7 @@ int dispatch(int argc, char** argv) {
     add_build(app, build_arguments);
     add_export(app, export_arguments);
     add_verify(app, verify_arguments);
+    add_calibrate(app, calibrate_arguments);
     CLI::App& list = *app.add_subcommand("list", "List accelerators, workloads and scenes");
     list.add_flag("--json", list_json, "As JSON");
     try {
@@ -385,6 +412,7 @@ int dispatch(int argc, char** argv) {
     if (app.got_subcommand("build")) return build(build_arguments);
     if (app.got_subcommand("export")) return export_wireframes(export_arguments);
     if (app.got_subcommand("verify")) return verify(verify_arguments);
+    if (app.got_subcommand("calibrate")) return calibrate(calibrate_arguments);
     fmt::print("{}", list_json ? catalog_json() : catalog_text());
     return 0;
 }

@@ -146,7 +146,9 @@ const AcceleratorInfo& accelerator(const std::string& name) {
 
 std::shared_ptr<const Primitive> load_accelerator(const std::string& name, StructureReader& in) {
     ensure_target();
-    return accelerator(name).load(in);
+    const AcceleratorInfo& info = accelerator(name);
+    if (!info.load) throw InputError("'" + name + "' is no structure of its own");
+    return info.load(in);
 }
 
 std::vector<ParameterInfo> common_parameters() { return list_parameters<LazyOptions>(); }

@@ -47,7 +47,7 @@ struct AcceleratorInfo {
     /// Builds over any set. Parameters that are missing take their default.
     /// @throws InputError  as `checked`, or for an unknown parameter with the nearest valid name
     std::function<std::unique_ptr<Primitive>(const PrimitiveSet&, const ParameterValues&)> build;
-    /// Reads what a built one wrote: see load_structure.
+    /// Reads what a built one wrote: see load_structure. Empty: builds others, and is none itself.
     std::function<std::unique_ptr<Primitive>(StructureReader&)> load;
 
     const ParameterInfo* find(const std::string& parameter) const;

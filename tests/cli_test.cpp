@@ -69,7 +69,7 @@ const char* const small =
 TEST_CASE("cli: help is there for every command and exits with 0") {
     for (const char* arguments :
          {"--help", "run --help", "inspect --help", "render --help", "build --help",
-          "export --help", "list --help", "verify --help"}) {
+          "export --help", "list --help", "verify --help", "calibrate --help"}) {
         const Outcome outcome = run_crofton(arguments);
         INFO(arguments);
         CHECK(outcome.code == 0);

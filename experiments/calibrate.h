@@ -1,0 +1,23 @@
+#pragma once
+
+#include <string>
+
+#include "framework/calibration.h"
+
+namespace crofton {
+
+/// Measures this machine: constants in a traversal's terms, memory levels, and every structure
+/// choice's build, bytes and rays over procedural scenes of several sizes. Rays run on one thread;
+/// builds use as many as builds do. Takes 10 to 30 seconds.
+Calibration measure_calibration();
+
+/// Makes the calibration of this machine current: from its cached file, or measured now and cached.
+/// Says on stderr when it measures.
+/// @throws InputError  the cached file is damaged, or cannot be written
+void ensure_calibration();
+
+/// For people: constants with intervals, memory levels, and a line for each structure.
+std::string calibration_text(const Calibration& calibration);
+std::string calibration_json(const Calibration& calibration);
+
+}  // namespace crofton

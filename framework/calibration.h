@@ -1,0 +1,93 @@
+#pragma once
+
+#include <map>
+#include <string>
+#include <vector>
+
+namespace crofton {
+
+/// What a machine's times are known for: its processor, the instruction set that kernels use, and
+/// the program. Times of another are not to be used.
+struct MachineIdentity {
+    std::string cpu;      ///< as the system names the model
+    std::string isa;      ///< see active_isa
+    std::string version;  ///< of crofton
+    int threads = 0;      ///< that builds use
+
+    /// Of this machine as it is set up now. @param version  see version_text
+    static MachineIdentity here(const std::string& version);
+    bool operator==(const MachineIdentity&) const = default;
+    /// 16 hexadecimal digits that tell identities apart.
+    std::string hash() const;
+};
+
+/// One measured cost, with an interval that holds its median with 95 %.
+struct MeasuredCost {
+    double ns = 0, low = 0, high = 0;
+};
+
+/// A dependent load that the cache of this size still holds.
+struct MemoryLevel {
+    std::string name;   ///< "L1", "L2", "L3", "memory"
+    double bytes = 0;   ///< of the set that was walked
+    MeasuredCost load;  ///< ns per load
+};
+
+/// What a structure costs at one number of shapes: geometric means over the calibration scenes.
+struct GrowthPoint {
+    double shapes = 0;
+    double build_ns = 0;  ///< per shape
+    double bytes = 0;     ///< per shape
+    double ray_ns = 0;    ///< per ray that meets the bounds
+};
+
+/// A structure's costs over one kind of shape, as they grow; between points they are interpolated
+/// on logarithmic axes, beyond them the last slope goes on.
+struct StructureCosts {
+    std::string structure;            ///< see StructureChoice::name
+    std::string shapes;               ///< "triangles", "quadrics" or "polygons"
+    std::vector<GrowthPoint> growth;  ///< ascending in shapes, at least one
+    double ray_spread = 0;    ///< standard deviation of ln(ns per ray) between scenes of one size
+    double build_spread = 0;  ///< the same of the build
+
+    /// Nanoseconds of a ray from counters: per_ray + (per_step·N_TS + per_test·N_IT)·f, with f = 1
+    /// + per_doubling·log2(bytes / what the second cache holds) beyond that cache, else 1.
+    double per_ray = 0, per_step = 0, per_test = 0, per_doubling = 0;
+    double fit_error = 0;  ///< median |predicted / measured - 1| over the calibration's own scenes
+
+    /// At any number of shapes >= 1.
+    GrowthPoint at(double shapes) const;
+};
+
+/// Costs of one machine. The constants of framework/cost.h, which builders weigh nodes with, stay
+/// fixed, so that structures are the same everywhere: these serve to predict and to choose.
+struct Calibration {
+    MachineIdentity machine;
+    double measured_s = 0;                          ///< that it took
+    double cache_bytes = 1 << 20;                   ///< of the second level
+    std::map<std::string, MeasuredCost> constants;  ///< ns, by name
+    std::vector<MemoryLevel> memory;                ///< nearest first
+    std::vector<StructureCosts> structures;
+
+    /// @return  null if there is nothing about them
+    const StructureCosts* find(const std::string& structure, const std::string& shapes) const;
+
+    /// Typical values, for where nothing was measured: of one core of the Zen 4 kind.
+    static const Calibration& nominal();
+};
+
+/// $XDG_CACHE_HOME/crofton/calibration-HASH.toml, or below ~/.cache.
+std::string calibration_path(const MachineIdentity& machine);
+
+/// The file's text.
+std::string to_toml(const Calibration& calibration);
+/// @throws InputError  cannot be read, or is not a calibration: "file:line:column: what"
+Calibration read_calibration(const std::string& path);
+/// Makes the folders it needs. @throws InputError  cannot be written
+void write_calibration(const Calibration& calibration, const std::string& path);
+
+/// What choices are made with from now on; `nominal` until it is set. Not thread-safe.
+void set_calibration(Calibration calibration);
+const Calibration& calibration();
+
+}  // namespace crofton
