@@ -40,6 +40,7 @@ std::vector<StructureChoice> all_choices() {
         {"sparse_grid", "sparse_grid", {}},
         {"uniform_grid", "uniform_grid", {}},
         {"model_hierarchy", "model_hierarchy", {}},
+        {"sphere_hierarchy", "sphere_hierarchy", {}},
         {"brute_force", "brute_force", {}},
     };
 }
@@ -54,8 +55,6 @@ bool accepted(const StructureChoice& choice) {
     }
     return true;
 }
-
-bool is_lazy(const StructureChoice& choice) { return choice.parameters.contains("lazy"); }
 
 /// Shapes in a part that a lazy structure builds whole, and parts that a ray enters before it ends,
 /// of which others have not been built for.
@@ -94,7 +93,7 @@ std::unique_ptr<Primitive> build_auto(const PrimitiveSet& set, const ParameterVa
 }
 
 bool registered = register_accelerator(
-    {"auto", "the structure that is expected to cost least, see auto.md",
+    {"auto", "the structure that is expected to cost least, see auto_select.md",
      "after Hapala, Karlík, Havran 2011: When it makes sense to use uniform grids for ray tracing",
      list_parameters<AutoParameters>(), build_auto, nullptr});
 
@@ -118,17 +117,30 @@ uint64_t size_of(const PrimitiveSet& set) {
     return std::visit([](const auto& s) { return uint64_t(s->size()); }, set);
 }
 
-CostEstimate estimate(const StructureChoice& choice, double count, const std::string& shapes,
-                      const Objective& objective, const Calibration& calibration) {
+bool is_lazy(const StructureChoice& choice) { return choice.parameters.contains("lazy"); }
+
+bool uses_order(const StructureChoice& choice) { return choice.type == "model_hierarchy"; }
+
+const StructureCosts* costs_of(const StructureChoice& choice, const std::string& shapes,
+                               const Calibration& calibration) {
     // Boxes of objects are like those of triangles; what is inside costs the same under each.
     const StructureCosts* costs = calibration.find(choice.name, shapes);
-    if (!costs) costs = calibration.find(choice.name, "triangles");
+    return costs ? costs : calibration.find(choice.name, "triangles");
+}
+
+CostEstimate estimate(const StructureChoice& choice, double count, const std::string& shapes,
+                      const Objective& objective, const Calibration& calibration) {
+    return estimate(costs_of(choice, shapes, calibration), is_lazy(choice), count, objective);
+}
+
+CostEstimate estimate(const StructureCosts* costs, bool lazy, double count,
+                      const Objective& objective) {
     CostEstimate e;
     e.total_s = infinity;
     if (!costs) return e;
     const GrowthPoint p = costs->at(count);
     e.build_s = p.build_ns * count * 1e-9;
-    if (is_lazy(choice)) {
+    if (lazy) {
         // What the growth holds is a build of all parts; the bounds alone take a tenth of it.
         constexpr double bounds_share = 0.1;
         e.build_s *= bounds_share + (1 - bounds_share) * needed_share(count, objective.rays);
@@ -136,9 +148,17 @@ CostEstimate estimate(const StructureChoice& choice, double count, const std::st
     e.bytes = p.bytes * count;
     e.ns_per_ray = p.ray_ns;
     e.ray_spread = costs->ray_spread;
-    e.total_s = e.build_s + objective.rays * e.ns_per_ray * 1e-9;
-    e.fits = objective.memory <= 0 || e.bytes <= objective.memory;
+    set_total(e, objective);
     return e;
+}
+
+void set_total(CostEstimate& e, const Objective& objective) {
+    // The mean of a cost whose logarithm is normal. Spreads come from few scenes: no more than
+    // this.
+    const double spread = std::min(e.ray_spread, 0.6);
+    const double mean = e.ns_per_ray * std::exp(0.5 * spread * spread);
+    e.total_s = e.build_s + objective.rays * mean * 1e-9;
+    e.fits = objective.memory <= 0 || e.bytes <= objective.memory;
 }
 
 double score(const CostEstimate& e, const Objective& objective, double best_ns) {

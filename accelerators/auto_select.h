@@ -39,8 +39,8 @@ struct CostEstimate {
     double build_s = 0;  ///< parts that rays make lazily included
     double bytes = 0;
     double ns_per_ray = 0;
-    double total_s = 0;     ///< build_s + rays·ns_per_ray
-    double ray_spread = 0;  ///< standard deviation of ln(ns_per_ray)
+    double total_s = 0;     ///< expected: build_s + rays·ns_per_ray·exp(spread²/2)
+    double ray_spread = 0;  ///< standard deviation of ln(ns_per_ray); 0: seen, not estimated
     bool fits = true;       ///< into the memory
 };
 
@@ -49,6 +49,18 @@ struct CostEstimate {
 /// @return  total_s = infinity if the calibration has nothing about the structure
 CostEstimate estimate(const StructureChoice& choice, double count, const std::string& shapes,
                       const Objective& objective, const Calibration& calibration);
+
+/// The same for costs that were found before. @param costs  null: nothing is known
+CostEstimate estimate(const StructureCosts* costs, bool lazy, double count,
+                      const Objective& objective);
+const StructureCosts* costs_of(const StructureChoice& choice, const std::string& shapes,
+                               const Calibration& calibration);
+bool is_lazy(const StructureChoice& choice);
+/// Whether the order of the shapes in their file makes it good or bad: see order_visits.
+bool uses_order(const StructureChoice& choice);
+
+/// Sets total_s and fits from the rest.
+void set_total(CostEstimate& estimate, const Objective& objective);
 
 /// What the objective is least for; smaller is better, infinity: not to be chosen.
 /// @param best_ns  least ns per ray of all that fit

@@ -12,7 +12,8 @@ namespace crofton {
 Calibration measure_calibration();
 
 /// Makes the calibration of this machine current: from its cached file, or measured now and cached.
-/// Says on stderr when it measures.
+/// Says on stderr when it measures. The environment variable CROFTON_CALIBRATION names another file
+/// to use, or is "nominal": then choices without a clock are the same on every machine.
 /// @throws InputError  the cached file is damaged, or cannot be written
 void ensure_calibration();
 

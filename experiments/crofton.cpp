@@ -22,9 +22,11 @@
 #include "experiments/results.h"
 #include "experiments/runner.h"
 #include "experiments/sweep.h"
+#include "experiments/theorem.h"
 #include "experiments/verify.h"
 #include "framework/archive.h"
 #include "framework/error.h"
+#include "scenegraph/auto_plan.h"
 
 namespace crofton {
 namespace {
@@ -45,6 +47,13 @@ struct StructureArguments {
 
 struct InspectArguments : StructureArguments {
     InspectOptions options;
+    bool explain = false;
+};
+
+struct TheoremArguments {
+    std::string scene;
+    int64_t lines = 256000;
+    uint64_t seed = 1;
 };
 
 struct BuildArguments : StructureArguments {
@@ -124,13 +133,19 @@ ConfigValue structure_config(const StructureArguments& arguments) {
     name.from_command_line = true;
     root.set("camera", ConfigValue{});
     ConfigValue& accelerator = root.set("accelerator", ConfigValue{}).set("main", ConfigValue{});
-    accelerator.set("type", text(arguments.accelerator.empty() ? "bvh" : arguments.accelerator));
+    const auto is_parameter = [](const std::string& setting) {
+        return setting.substr(0, setting.find('=')).find('.') == std::string::npos;
+    };
+    const bool has_parameters =
+        std::any_of(arguments.settings.begin(), arguments.settings.end(), is_parameter);
+    accelerator.set("type", text(!arguments.accelerator.empty() ? arguments.accelerator
+                                 : has_parameters               ? "bvh"
+                                                                : "auto"));
     ConfigValue& assign = root.set("assign", ConfigValue{});
     assign.set("top", text("main"));
     assign.set("default", text("main"));
     for (std::string setting : arguments.settings) {
-        if (setting.substr(0, setting.find('=')).find('.') == std::string::npos)
-            setting = "accelerator.main." + setting;
+        if (is_parameter(setting)) setting = "accelerator.main." + setting;
         apply_setting(root, setting, config_sections());
     }
     return root;
@@ -141,12 +156,33 @@ AssemblyPlan plan_of(const StructureArguments& arguments, const Experiment& expe
     return load_experiments(arguments.config, {}).experiments.front().variants.front().plan;
 }
 
+/// Chooses for the rays of a camera.
+Selection choose(const Experiment& experiment, const Scene& scene, double pixel) {
+    ensure_calibration();
+    const SceneStatistics s = statistics(scene);
+    const BoundingSphere sphere = bounding_sphere(s.bounds_min, s.bounds_max);
+    constexpr int width = 32, height = 24;
+    const std::vector<Ray> rays =
+        camera_rays(choose_camera(experiment.scene.camera, scene, sphere), width, height);
+    const ObjectiveSpec& o = experiment.objective;
+    AutoOptions options;
+    options.objective = {o.rays.value_or(1e6), o.memory, o.priority};
+    options.max_error = o.max_error;
+    options.pixel_angle = pixel;
+    options.clock = o.clock;
+    return choose_assembly(scene, options, {rays, false, experiment.run.mode}, calibration());
+}
+
 /// Builds, or loads what was saved for this scene.
 /// @param pixel  angle in radians for structures that end rays early; 0: their own default
 Assembly assemble(const StructureArguments& arguments, const Experiment& experiment,
                   const Scene& scene, double pixel = 0) {
-    if (arguments.structure.empty())
-        return assemble(scene, with_pixel_angle(plan_of(arguments, experiment), pixel));
+    if (arguments.structure.empty()) {
+        const AssemblyPlan plan = plan_of(arguments, experiment);
+        if (chooses_all(plan)) return choose(experiment, scene, pixel).assembly;
+        if (canonical(plan).find("auto{") != std::string::npos) ensure_calibration();
+        return assemble(scene, with_pixel_angle(plan, pixel));
+    }
     SavedStructure saved = load_structure(arguments.structure);
     if (saved.subject != fingerprint(scene))
         throw InputError(arguments.structure + ": was saved for another scene than '" +
@@ -156,9 +192,19 @@ Assembly assemble(const StructureArguments& arguments, const Experiment& experim
     return assembly;
 }
 
+/// What `auto` would choose, with all candidates.
+int explain(const InspectArguments& arguments, const Experiment& experiment, const Scene& scene) {
+    Selection selection = choose(experiment, scene, 0);
+    const ObjectiveSpec& o = experiment.objective;
+    fmt::print("{}\n{}", inspect_text(scene, &selection.assembly, arguments.options),
+               explanation(selection, {o.rays.value_or(1e6), o.memory, o.priority}));
+    return 0;
+}
+
 int inspect(const InspectArguments& arguments) {
     const Experiment experiment = parse_experiment(structure_config(arguments), "");
     const Scene scene = make_scene(experiment.scene);
+    if (arguments.explain) return explain(arguments, experiment, scene);
     std::unique_ptr<Assembly> assembly;
     if (!arguments.config.empty() || !arguments.accelerator.empty())
         assembly = std::make_unique<Assembly>(assemble(arguments, experiment, scene));
@@ -294,6 +340,25 @@ int calibrate(const CalibrateArguments& arguments) {
     return 0;
 }
 
+int theorem(const TheoremArguments& arguments) {
+    StructureArguments structure;
+    structure.scene = arguments.scene;
+    const Experiment experiment = parse_experiment(structure_config(structure), "");
+    fmt::print("{}", theorem_text(crofton_theorem(make_scene(experiment.scene), arguments.lines,
+                                                  arguments.seed)));
+    return 0;
+}
+
+void add_theorem(CLI::App& app, TheoremArguments& a) {
+    CLI::App& sub = *app.add_subcommand(
+        "theorem", "Show Crofton's theorem on a scene: areas and probabilities from random lines");
+    sub.add_option("scene", a.scene, "File, or procedural:NAME")->required();
+    sub.add_option("--lines", a.lines, "At most")
+        ->capture_default_str()
+        ->check(CLI::Range(int64_t{1000}, int64_t{1} << 28));
+    sub.add_option("--seed", a.seed, "Of the lines")->capture_default_str();
+}
+
 void add_calibrate(CLI::App& app, CalibrateArguments& a) {
     CLI::App& sub = *app.add_subcommand(
         "calibrate", "Measure what this machine's rays, builds and memory cost, and cache it");
@@ -318,7 +383,8 @@ void add_run(CLI::App& app, RunArguments& a) {
 /// What says which structure is meant; `loads`: one that was saved will do.
 void add_structure(CLI::App& sub, StructureArguments& a, bool loads) {
     sub.add_option("scene", a.scene, "File, or procedural:NAME")->required();
-    CLI::Option* accelerator = sub.add_option("--accelerator", a.accelerator, "For everything");
+    CLI::Option* accelerator =
+        sub.add_option("--accelerator", a.accelerator, "For everything; otherwise auto");
     CLI::Option* config =
         sub.add_option("--config", a.config, "As the first variant of this config says")
             ->excludes(accelerator);
@@ -338,6 +404,9 @@ void add_inspect(CLI::App& app, InspectArguments& a) {
     add_structure(sub, a, false);
     sub.add_flag("--json", a.options.json, "As JSON, without the tree of nodes");
     sub.add_flag("--all", a.options.all, "Every node, however many");
+    sub.add_flag("--explain", a.explain,
+                 "What auto chooses and why: every candidate with its expected costs, for the rays "
+                 "of --set objective.rays=N (1e6)");
 }
 
 void add_build(CLI::App& app, BuildArguments& a) {
@@ -389,6 +458,7 @@ int dispatch(int argc, char** argv) {
     ExportArguments export_arguments;
     VerifyArguments verify_arguments;
     CalibrateArguments calibrate_arguments;
+    TheoremArguments theorem_arguments;
     bool list_json = false;
     add_run(app, run_arguments);
     add_inspect(app, inspect_arguments);
@@ -397,6 +467,7 @@ int dispatch(int argc, char** argv) {
     add_export(app, export_arguments);
     add_verify(app, verify_arguments);
     add_calibrate(app, calibrate_arguments);
+    add_theorem(app, theorem_arguments);
     CLI::App& list = *app.add_subcommand("list", "List accelerators, workloads and scenes");
     list.add_flag("--json", list_json, "As JSON");
     try {
@@ -413,6 +484,7 @@ int dispatch(int argc, char** argv) {
     if (app.got_subcommand("export")) return export_wireframes(export_arguments);
     if (app.got_subcommand("verify")) return verify(verify_arguments);
     if (app.got_subcommand("calibrate")) return calibrate(calibrate_arguments);
+    if (app.got_subcommand("theorem")) return theorem(theorem_arguments);
     fmt::print("{}", list_json ? catalog_json() : catalog_text());
     return 0;
 }

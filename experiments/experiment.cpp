@@ -87,6 +87,33 @@ std::vector<WorkloadSpec> read_workloads(ConfigTable& root, const std::string& f
     return out;
 }
 
+/// Ascending numbers of rays.
+std::vector<double> read_budgets(ConfigTable& table) {
+    const ConfigValue* list = table.value("budgets");
+    if (!list) return {};
+    if (!list->is_array()) table.fail("budgets", "budgets: expected an array of numbers");
+    const auto budgets = table.reals("budgets", list->items.size());
+    for (size_t i = 0; i < budgets->size(); ++i)
+        if (!((*budgets)[i] >= 1 && (*budgets)[i] <= 1e15) ||
+            (i > 0 && (*budgets)[i] <= (*budgets)[i - 1]))
+            table.fail("budgets", "budgets: expected ascending numbers of rays, 1 … 1e15");
+    return *budgets;
+}
+
+ObjectiveSpec read_objective(ConfigTable table) {
+    ObjectiveSpec objective;
+    objective.rays = table.real("rays", 1, 1e15);
+    objective.memory = table.real("memory", objective.memory, 0, 1e15);
+    const std::string priority = table.string("priority", "total", {"total", "trace", "build"});
+    objective.priority = priority == "trace"   ? Priority::trace
+                         : priority == "build" ? Priority::build
+                                               : Priority::total;
+    objective.max_error = table.real("max_error", objective.max_error, 0, 64);
+    objective.clock = table.boolean("clock", objective.clock);
+    table.finish();
+    return objective;
+}
+
 RunSpec read_run(ConfigTable table) {
     RunSpec run;
     run.repeats = table.integer("repeats", run.repeats, 1, 10000);
@@ -107,6 +134,8 @@ RunSpec read_run(ConfigTable table) {
     run.plot = table.boolean("plot", run.plot);
     if (run.plot && run.oracle == 0)
         table.fail("plot", "plot: needs 'oracle', the number of rays to judge");
+    run.budgets = read_budgets(table);
+    run.predict = table.boolean("predict", run.predict);
     run.first_image = table.integer("first_image", run.first_image, 0, 1000);
     table.finish();
     return run;
@@ -164,9 +193,9 @@ void name_apart(Experiment& experiment) {
 }  // namespace
 
 const std::vector<std::string>& config_sections() {
-    static const std::vector<std::string> sections = {"description", "scene",  "camera",
-                                                      "accelerator", "assign", "variant",
-                                                      "workload",    "run",    "sweep"};
+    static const std::vector<std::string> sections = {
+        "description", "scene",     "camera",   "accelerator", "assign",
+        "variant",     "objective", "workload", "run",         "sweep"};
     return sections;
 }
 
@@ -194,10 +223,11 @@ Experiment parse_experiment(ConfigValue config, const std::string& folder) {
     experiment.variants = parse_variants(root);
     experiment.workloads = read_workloads(root, folder);
     experiment.run = read_run(root.table("run"));
+    experiment.objective = read_objective(root.table("objective"));
     for (Variant& variant : experiment.variants)
         if (!variant.mode) variant.mode = experiment.run.mode;
     experiment.scene_canonical = text_of(config, "scene") + text_of(config, "camera");
-    experiment.run_canonical = text_of(config, "run");
+    experiment.run_canonical = text_of(config, "run") + text_of(config, "objective");
     for (const ConfigValue& item : config.find("workload")->items)
         experiment.workload_canonical.push_back(to_toml(item));
     experiment.resolved = std::move(config);

@@ -37,10 +37,21 @@ struct RunSpec {
     int64_t picture_width = 480, picture_height = 360;
     double max_pass_s = 0.5;
     double max_check_s = 20;
-    Mode mode = Mode::robust;  ///< of variants without their own
-    int64_t oracle = 0;        ///< rays of each workload to compare with the oracle; 0: none
-    bool plot = false;         ///< time against error
-    int64_t first_image = 0;   ///< times to build anew and trace a workload once; 0: not measured
+    Mode mode = Mode::robust;     ///< of variants without their own
+    int64_t oracle = 0;           ///< rays of each workload to compare with the oracle; 0: none
+    bool plot = false;            ///< time against error
+    std::vector<double> budgets;  ///< rays; for each a row of the total time, see README
+    bool predict = false;         ///< costs of every variant, before and after its build
+    int64_t first_image = 0;  ///< times to build anew and trace a workload once; 0: not measured
+};
+
+/// What `auto` is to choose for.
+struct ObjectiveSpec {
+    std::optional<double> rays;  ///< expected; nothing: those of the workload
+    double memory = 0;           ///< bytes at most; 0: no limit
+    Priority priority = Priority::total;
+    double max_error = 0;  ///< pixels; above 0, rays may end early
+    bool clock = true;     ///< see AutoOptions
 };
 
 /// Variants that share a scene, the rays and the settings of a run.
@@ -49,6 +60,7 @@ struct Experiment {
     std::vector<Variant> variants;
     std::vector<WorkloadSpec> workloads;
     RunSpec run;
+    ObjectiveSpec objective;
     std::string scene_canonical, run_canonical;
     std::vector<std::string> workload_canonical;
     ConfigValue resolved;  ///< with every default filled in

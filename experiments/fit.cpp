@@ -38,14 +38,23 @@ double median(std::vector<double> values) {
     return values[values.size() / 2];
 }
 
-}  // namespace
-
-double counted_ns(const StructureCosts& c, const RayCost& ray, double bytes, double cache_bytes) {
-    const double memory = 1 + c.per_doubling * doublings(bytes, cache_bytes);
-    return c.per_ray + (c.per_step * ray.steps + c.per_test * ray.tests) * memory;
+/// per_test alone, given the rest.
+void fit_tests(StructureCosts& costs, std::span<const CountedRay> rays, double cache_bytes) {
+    double xy = 0, xx = 0;
+    for (const CountedRay& r : rays) {
+        costs.per_test = 0;
+        const double rest =
+            r.ray.ns - costs.counted_ns(r.ray.steps, r.ray.tests, r.bytes, cache_bytes);
+        costs.per_test = 1;
+        const double one = costs.counted_ns(0, r.ray.tests, r.bytes, cache_bytes) - costs.per_ray;
+        xy += one * rest / (r.ray.ns * r.ray.ns);
+        xx += one * one / (r.ray.ns * r.ray.ns);
+    }
+    costs.per_test = xx > 0 ? std::max(0.0, xy / xx) : 0;
 }
 
-void fit_counted(StructureCosts& costs, std::span<const CountedRay> rays, double cache_bytes) {
+/// All but per_doubling from structures within the cache, and this from the others.
+void fit_all(StructureCosts& costs, std::span<const CountedRay> rays, double cache_bytes) {
     std::vector<const CountedRay*> near, far;
     for (const CountedRay& r : rays)
         (doublings(r.bytes, cache_bytes) > 0 ? far : near).push_back(&r);
@@ -59,14 +68,29 @@ void fit_counted(StructureCosts& costs, std::span<const CountedRay> rays, double
     costs.per_ray = x[0], costs.per_step = x[1], costs.per_test = x[2], costs.per_doubling = 0;
     std::vector<double> slopes;
     for (const CountedRay* r : far) {
-        const double work = counted_ns(costs, r->ray, 0, cache_bytes) - costs.per_ray;
+        const double work =
+            costs.counted_ns(r->ray.steps, r->ray.tests, 0, cache_bytes) - costs.per_ray;
         const double factor = (r->ray.ns - costs.per_ray) / work;
         if (work > 0) slopes.push_back((factor - 1) / doublings(r->bytes, cache_bytes));
     }
     costs.per_doubling = std::max(0.0, median(slopes));
+}
+
+}  // namespace
+
+void fit_counted(StructureCosts& costs, std::span<const CountedRay> rays, double cache_bytes,
+                 const StructureCosts* nodes) {
+    if (nodes) {
+        costs.per_ray = nodes->per_ray, costs.per_step = nodes->per_step;
+        costs.per_doubling = nodes->per_doubling;
+        fit_tests(costs, rays, cache_bytes);
+    } else {
+        fit_all(costs, rays, cache_bytes);
+    }
     std::vector<double> errors;
     for (const CountedRay& r : rays)
-        errors.push_back(std::abs(counted_ns(costs, r.ray, r.bytes, cache_bytes) / r.ray.ns - 1));
+        errors.push_back(std::abs(
+            costs.counted_ns(r.ray.steps, r.ray.tests, r.bytes, cache_bytes) / r.ray.ns - 1));
     costs.fit_error = median(errors);
 }
 

@@ -22,11 +22,10 @@ struct CountedRay {
 /// Sets per_ray, per_step, per_test (not negative), per_doubling and fit_error by least squares of
 /// the relative error. Structures within the cache give the first three, the others the fourth.
 /// @param cache_bytes  what the second cache holds
-void fit_counted(StructureCosts& costs, std::span<const CountedRay> rays, double cache_bytes);
-
-/// What those constants say of a ray, ns.
-double counted_ns(const StructureCosts& costs, const RayCost& ray, double bytes,
-                  double cache_bytes);
+/// @param nodes        of the same structure over other shapes, whose per_ray, per_step and
+///                     per_doubling hold here, too: then only per_test is fitted. Null: none
+void fit_counted(StructureCosts& costs, std::span<const CountedRay> rays, double cache_bytes,
+                 const StructureCosts* nodes = nullptr);
 
 double geometric_mean(std::span<const double> values);
 double geometric_mean_ns(std::span<const RayCost> rays);

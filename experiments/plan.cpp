@@ -4,6 +4,7 @@
 
 #include "framework/error.h"
 #include "framework/registry.h"
+#include "scenegraph/auto_plan.h"
 
 namespace crofton {
 namespace {
@@ -98,6 +99,7 @@ struct Assignment {
     bool flatten = false;
     double opening = 0;
     std::vector<AssemblyPlan::Rule> rules;
+    bool given = false;  ///< says anything at all
 };
 
 ChoicePointer read_choice(ConfigTable& table, const std::string& key, const ChoicePointer& fallback,
@@ -135,6 +137,9 @@ Assignment read_assignment(ConfigTable& table, const Assignment& base, Choices& 
     out.rules = read_rules(table, choices);
     if (out.flatten && !out.rules.empty())
         table.fail("node", table.what() + ": a flattened scene has no nodes to match");
+    // By value: defaults are written back, and a resolved config must mean the same.
+    out.given = base.given || table.has("top") || table.has("default") || out.flatten ||
+                out.opening > 1 || !out.rules.empty();
     // A variant's own rules come first, so that they win.
     if (!out.flatten) out.rules.insert(out.rules.end(), base.rules.begin(), base.rules.end());
     return out;
@@ -162,16 +167,6 @@ std::optional<Mode> read_mode(ConfigTable& table) {
     return mode_named(table.string("mode", "", {names.begin(), names.end()}));
 }
 
-std::string canonical(const AssemblyPlan& plan) {
-    std::string text = "top=" + canonical(*plan.top);
-    if (plan.flatten) return text + ";flat";
-    text += ";default=" + canonical(*plan.objects);
-    if (plan.opening > 1) text += ";opening=" + to_string(ParameterValue(plan.opening));
-    for (const auto& rule : plan.rules)
-        text += ";" + rule.match + "=" + canonical(*rule.accelerator);
-    return text;
-}
-
 /// Whether an accelerator of the plan may end rays early: its parameter `lod` is above 0.
 bool has_lod(const AssemblyPlan& plan) {
     std::vector<const AcceleratorChoice*> open{plan.top.get(), plan.objects.get()};
@@ -186,10 +181,17 @@ bool has_lod(const AssemblyPlan& plan) {
 Variant make_variant(const std::string& name, const Assignment& assignment) {
     Variant variant;
     variant.name = name;
+    if (!assignment.given) {
+        variant.plan = uniform_plan("auto");
+        variant.canonical = canonical(variant.plan);
+        variant.chooses = true;
+        return variant;
+    }
     variant.plan = {assignment.top, assignment.objects, assignment.flatten, assignment.opening,
                     assignment.rules};
     variant.canonical = canonical(variant.plan);
     variant.exact = !has_lod(variant.plan);
+    variant.chooses = chooses_all(variant.plan);
     look_for_peers(variant);
     return variant;
 }
@@ -209,6 +211,16 @@ std::string canonical(const AcceleratorChoice& choice) {
         }
         text += "}";
     }
+    return text;
+}
+
+std::string canonical(const AssemblyPlan& plan) {
+    std::string text = "top=" + canonical(*plan.top);
+    if (plan.flatten) return text + ";flat";
+    text += ";default=" + canonical(*plan.objects);
+    if (plan.opening > 1) text += ";opening=" + to_string(ParameterValue(plan.opening));
+    for (const auto& rule : plan.rules)
+        text += ";" + rule.match + "=" + canonical(*rule.accelerator);
     return text;
 }
 
@@ -243,7 +255,11 @@ AssemblyPlan uniform_plan(const std::string& accelerator_name) {
     return plan;
 }
 
-AssemblyPlan with_pixel_angle(const AssemblyPlan& plan, double angle) {
+namespace {
+
+/// The plan with `change` applied to a copy of every accelerator, those inside included.
+template <class Change>
+AssemblyPlan changed(const AssemblyPlan& plan, const Change& change) {
     std::map<const AcceleratorChoice*, ChoicePointer> done{{nullptr, nullptr}};
     const auto filled = [&](const ChoicePointer& first) {
         // From the end of a chain of `inside`, so that every link points at a filled one.
@@ -254,11 +270,7 @@ AssemblyPlan with_pixel_angle(const AssemblyPlan& plan, double angle) {
             if (done.contains(*at)) continue;
             auto copy = std::make_shared<AcceleratorChoice>(**at);
             copy->inside = done.at((*at)->inside.get());
-            if (accelerator(copy->type).find("pixel_angle")) {
-                ParameterValue& value =
-                    copy->parameters.try_emplace("pixel_angle", 0.0).first->second;
-                if (std::get<double>(value) == 0) value = angle;
-            }
+            change(*copy);
             done[*at] = copy;
         }
         return done.at(first.get());
@@ -268,6 +280,26 @@ AssemblyPlan with_pixel_angle(const AssemblyPlan& plan, double angle) {
     out.objects = filled(plan.objects);
     for (AssemblyPlan::Rule& rule : out.rules) rule.accelerator = filled(rule.accelerator);
     return out;
+}
+
+}  // namespace
+
+AssemblyPlan with_pixel_angle(const AssemblyPlan& plan, double angle) {
+    return changed(plan, [&](AcceleratorChoice& choice) {
+        if (!accelerator(choice.type).find("pixel_angle")) return;
+        ParameterValue& value = choice.parameters.try_emplace("pixel_angle", 0.0).first->second;
+        if (std::get<double>(value) == 0) value = angle;
+    });
+}
+
+AssemblyPlan with_objective(const AssemblyPlan& plan, const Objective& objective) {
+    static const std::string priorities[] = {"total", "trace", "build"};
+    return changed(plan, [&](AcceleratorChoice& choice) {
+        if (choice.type != "auto") return;
+        choice.parameters.try_emplace("rays", objective.rays);
+        choice.parameters.try_emplace("memory", objective.memory);
+        choice.parameters.try_emplace("priority", priorities[int(objective.priority)]);
+    });
 }
 
 }  // namespace crofton

@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "accelerators/auto_select.h"
 #include "framework/config.h"
 #include "framework/mode.h"
 #include "scenegraph/assemble.h"
@@ -22,12 +23,14 @@ struct Variant {
     bool peer = false;      ///< holds another library's structure, which promises nothing of ours
     bool available = true;  ///< false: a peer that the program was built without
     std::string canonical;  ///< equal texts: equal structures
+    bool chooses = false;   ///< see chooses_all
     bool exact = true;      ///< false: rays may end at something coarser than the shapes, see `lod`
     std::vector<std::pair<std::string, ConfigValue>> sweep;  ///< the values that led here
 };
 
 /// Reads [accelerator], [assign] and [[variant]] of the config's root. Without variants there is
-/// one, "default", as [assign] says; without [assign] it is a bvh over bvhs.
+/// one, "default", as [assign] says. A variant for which neither says anything is `auto`; where
+/// they say something, what is missing is a bvh.
 /// @throws InputError  unknown accelerator or parameter, a cycle of `inside`, two variants of one
 /// name
 std::vector<Variant> parse_variants(ConfigTable& root);
@@ -42,5 +45,9 @@ AssemblyPlan with_pixel_angle(const AssemblyPlan& plan, double angle);
 
 /// Equal texts: equal structures.
 std::string canonical(const AcceleratorChoice& choice);
+std::string canonical(const AssemblyPlan& plan);
+
+/// The plan with the objective's rays, memory and priority wherever an `auto` says none of its own.
+AssemblyPlan with_objective(const AssemblyPlan& plan, const Objective& objective);
 
 }  // namespace crofton

@@ -4,6 +4,8 @@
 
 #include <algorithm>
 
+#include "experiments/budget.h"
+
 namespace crofton {
 namespace {
 
@@ -154,6 +156,14 @@ std::string table_text(std::span<const Row> rows, bool color) {
 
 std::string report_text(const RunOutput& output, const std::string& folder, bool color) {
     std::string text = "\n" + table_text(output.rows, color);
+    for (const std::string& part : {budget_text(output.budget_rows), prediction_text(output.rows)})
+        if (!part.empty()) text += part + "\n";
+    constexpr size_t most = 12;
+    for (size_t i = 0; i < std::min(most, output.explanations.size()); ++i)
+        text += output.explanations[i] + "\n";
+    if (output.explanations.size() > most)
+        text += fmt::format("… and {} more choices; see choices.txt\n\n",
+                            output.explanations.size() - most);
     for (const std::string& note : output.notes) text += "Note: " + note + "\n";
     const bool checked = std::any_of(output.rows.begin(), output.rows.end(),
                                      [](const Row& row) { return !row.checked_against.empty(); });

@@ -140,6 +140,18 @@ std::string to_json_line(const Row& row) {
         json["first_image_s"] = row.first_image_s;
         json["first_image_bytes"] = row.first_image_bytes;
     }
+    if (row.budget) {
+        json["budget_rays"] = row.budget->rays;
+        json["choose_s"] = row.budget->choose_s;
+        json["total_s"] = row.budget->total_s;
+    }
+    if (row.predicted) {
+        if (!row.budget) json["choose_s"] = row.predicted->choose_s;
+        json["predicted_build_s"] = row.predicted->build_s;
+        json["predicted_bytes"] = row.predicted->bytes;
+        json["predicted_ns_per_ray"] = row.predicted->ns_per_ray;
+        json["expected_ns_per_ray"] = row.predicted->expected_ns;
+    }
     put_structure(json, row.structure);
     put_counters(json, row.counters, row.rays_checked);
     put_timing(json, row);

@@ -21,6 +21,20 @@ struct DepthError {
     uint64_t hit_or_miss = 0;  ///< rays that hit in one and miss in the other
 };
 
+/// Build and rays together, for a number of rays.
+struct BudgetTotal {
+    double rays = 0;
+    double choose_s = 0;  ///< that `auto` took for all but its structure's build
+    double total_s = 0;   ///< choosing, build, and rays
+};
+
+/// What was thought of the costs.
+struct PredictedCosts {
+    double choose_s = 0;                            ///< that it took
+    double build_s = 0, bytes = 0, ns_per_ray = 0;  ///< before the build
+    double expected_ns = 0;  ///< per ray, after it: counters times calibrated constants
+};
+
 /// The result of one variant on one workload: a line of rows.jsonl.
 struct Row {
     std::string key;  ///< hash of all that the result depends on but the machine
@@ -44,7 +58,10 @@ struct Row {
     MedianInterval ns_per_ray;
     std::vector<double> ns_per_ray_raw;  ///< one a pass
     VerifyTally oracle;                  ///< against the oracle; no rays: not compared
-    double expected_ns = 0;              ///< Primitive::expected_cost
+    std::optional<BudgetTotal> budget;
+    bool chosen = false;  ///< by `auto`
+    std::optional<PredictedCosts> predicted;
+    double expected_ns = 0;  ///< Primitive::expected_cost
     int64_t repeats = 0, threads = 1;
     int core = -1;  ///< that timed passes were pinned to
     uint64_t seed = 0;

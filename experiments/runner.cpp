@@ -4,19 +4,26 @@
 
 #include <algorithm>
 #include <bit>
+#include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <list>
 #include <optional>
+#include <set>
 
+#include "experiments/budget.h"
+#include "experiments/calibrate.h"
 #include "experiments/hash.h"
 #include "experiments/image.h"
 #include "experiments/measure.h"
 #include "experiments/plot.h"
+#include "experiments/random.h"
 #include "experiments/workload.h"
 #include "framework/error.h"
 #include "framework/parallel.h"
 #include "framework/registry.h"
+#include "scenegraph/auto_plan.h"
 #include "scenegraph/exact_scene.h"
 
 namespace crofton {
@@ -41,6 +48,16 @@ struct Trial {
     bool check_all = true;
     std::vector<double> pass_ns;
     Row row;
+};
+
+/// What `auto` chose for one number of rays of a workload.
+struct Chosen {
+    const Variant* variant;
+    double rays;
+    Selection selection;
+    Variant spec;      ///< of the plan that was chosen
+    size_t trial = 0;  ///< that measures it: its own, or that of a variant with the same plan
+    bool shared = false;
 };
 
 bool same_hit(const Hit& a, const Hit& b) {
@@ -88,8 +105,15 @@ class Run {
         set_isa(spec_.run.isa.empty() ? available_isas().back() : spec_.run.isa);
         progress_.step("loading the scene");
         load();
-        for (const Variant& variant : spec_.variants) build(variant);
+        if (needs_calibration()) ensure_calibration();
+        for (const Variant& variant : spec_.variants)
+            if (!variant.chooses) build(variant);
         for (size_t i = 0; i < spec_.workloads.size(); ++i) run_workload(i);
+        if (!output_.explanations.empty()) {
+            std::string text;
+            for (const std::string& e : output_.explanations) text += e + "\n";
+            results_.write_text("choices.txt", text);
+        }
         if (spec_.run.pictures) draw();
         if (spec_.run.plot) plot();
     }
@@ -114,8 +138,21 @@ class Run {
                 fmt::format("{}: {} more warnings", scene_.name, scene_.warnings.size() - most));
     }
 
+    bool needs_calibration() const {
+        return spec_.run.predict ||
+               std::any_of(spec_.variants.begin(), spec_.variants.end(), [](const Variant& v) {
+                   return canonical(v.plan).find("auto{") != std::string::npos;
+               });
+    }
+
+    Objective objective(double rays) const {
+        return {spec_.objective.rays.value_or(rays), spec_.objective.memory,
+                spec_.objective.priority};
+    }
+
     Assembly assembled(const Variant& variant) const {
-        return assemble(scene_, with_pixel_angle(variant.plan, pixel_));
+        const Objective o = objective(double(spec_.workloads.front().rays));
+        return assemble(scene_, with_objective(with_pixel_angle(variant.plan, pixel_), o));
     }
 
     void build(const Variant& variant) {
@@ -142,16 +179,182 @@ class Run {
         progress_.step("making rays: " + workload.name);
         const bool secondary = workload.type == "shadow" || workload.type == "ambient_occlusion" ||
                                workload.type == "diffuse";
-        const Primitive& from = secondary ? reference() : *built_.front().assembly.root;
+        const Primitive& from =
+            secondary || built_.empty() ? reference() : *built_.front().assembly.root;
         rays_ = make_rays(workload, {scene_, instances_, from, sphere_, spec_.scene.camera});
         if (rays_.empty()) throw InputError("workload '" + workload.name + "': there are no rays");
         any_ = workload.any;
         std::vector<Trial> trials;
         for (const Built& built : built_) trials.push_back(plan_trial(built, workload));
+        choose(workload, trials);
+        if (trials.empty()) return;
+        if (spec_.run.predict) predict(trials);
         if (spec_.run.first_image > 0) time_first_images(trials);
         check(trials, workload);
         time(trials, workload);
         for (Trial& trial : trials) finish(trial, index);
+        finish_chosen(trials);
+        if (!spec_.run.budgets.empty()) time_budgets(trials);
+    }
+
+    /// Rays of the workload for `auto` and predictions to try, in random order of place.
+    RaySample sample() {
+        if (!sample_.empty()) return {sample_, any_, spec_.run.mode};
+        for (const size_t i : strided_sample(rays_.size(), 8192, 5)) sample_.push_back(rays_[i]);
+        // So that the first few are spread over all, too.
+        Pcg32 rng(5);
+        for (size_t i = sample_.size(); i > 1; --i)
+            std::swap(sample_[i - 1], sample_[rng.below(i)]);
+        return {sample_, any_, spec_.run.mode};
+    }
+
+    std::vector<double> budgets() const {
+        return spec_.run.budgets.empty() ? std::vector<double>{objective(double(rays_.size())).rays}
+                                         : spec_.run.budgets;
+    }
+
+    /// Lets every variant that is `auto` choose for each budget. A choice that is also a variant's
+    /// plan is measured there; others get trials of their own.
+    void choose(const WorkloadSpec& workload, std::vector<Trial>& trials) {
+        chosen_.clear();
+        chosen_built_.clear();
+        sample_.clear();
+        for (const Variant& variant : spec_.variants) {
+            if (!variant.chooses) continue;
+            progress_.step(fmt::format("choosing for {}: {}", workload.name, variant.name), true);
+            for (const double rays : budgets()) choose(variant, rays, workload, trials);
+        }
+    }
+
+    void choose(const Variant& variant, double rays, const WorkloadSpec& workload,
+                std::vector<Trial>& trials) {
+        AutoOptions options;
+        options.objective = objective(rays);
+        options.objective.rays = rays;
+        options.max_error = spec_.objective.max_error;
+        options.pixel_angle = pixel_;
+        options.clock = spec_.objective.clock;
+        RaySample sample = this->sample();
+        sample.mode = *variant.mode;
+        Chosen& c = chosen_.emplace_back(Chosen{&variant, rays, {}, variant, 0, false});
+        c.selection = choose_assembly(scene_, options, sample, calibration());
+        c.spec.plan = plan_of(c.selection.choice().choice);
+        c.spec.canonical = canonical(c.spec.plan);
+        c.spec.exact = options.max_error <= 0;
+        if (!spec_.run.budgets.empty()) c.spec.name += fmt::format(" [{:g}]", rays);
+        for (size_t t = 0; t < trials.size(); ++t)
+            if (trials[t].built->spec->canonical == c.spec.canonical &&
+                trials[t].built->spec->mode == c.spec.mode) {
+                c.trial = t;
+                c.shared = true;
+                c.selection.assembly = {};
+                return;
+            }
+        c.trial = trials.size();
+        Assembly assembly = std::move(c.selection.assembly);
+        c.selection.assembly.build_s = assembly.build_s;
+        chosen_built_.push_back({&c.spec, std::move(assembly)});
+        trials.push_back(plan_trial(chosen_built_.back(), workload));
+    }
+
+    /// Costs of every trial's plan before its build, from a pilot, and after it, from counters.
+    void predict(std::vector<Trial>& trials) {
+        progress_.step("predicting", true);
+        // At most a quarter of the shapes, so that it is before the build.
+        constexpr double pilot_shapes = 16384, least_factor = 4;
+        constexpr size_t pilot_rays = 2048;
+        AutoOptions options;
+        options.objective = objective(double(rays_.size()));
+        options.clock = spec_.objective.clock;
+        if (!counts_) {
+            counts_ = count_shapes(scene_);
+            counts_->weight = test_weight(scene_, counts_->main_kind());
+            double unique = 0;
+            for (const SceneCounts::Kind& kind : counts_->kinds) unique += kind.unique;
+            pilot_.emplace(scene_, *counts_, std::min(pilot_shapes, unique / least_factor));
+        }
+        for (Trial& trial : trials) {
+            const PlanChoice choice = plan_choice_of(trial.built->spec->plan);
+            RaySample sample = this->sample();
+            sample.rays = sample.rays.first(std::min(pilot_rays, sample.rays.size()));
+            sample.mode = *trial.built->spec->mode;
+            const auto start = std::chrono::steady_clock::now();
+            const CostEstimate e =
+                pilot_->estimate(choice, trial.built->spec->plan, sample, options, calibration());
+            PredictedCosts p;
+            p.choose_s =
+                std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+            p.build_s = e.build_s, p.bytes = e.bytes, p.ns_per_ray = e.ns_per_ray;
+            p.expected_ns = observed_ns(*trial.built->assembly.root, choice.structure, *counts_,
+                                        sample, false, calibration());
+            trial.row.predicted = p;
+        }
+    }
+
+    /// Rows of choices that another variant's trial measures, predictions of all, and why.
+    void finish_chosen(std::vector<Trial>& trials) {
+        for (Chosen& c : chosen_) {
+            const CostEstimate& e = c.selection.choice().predicted;
+            Row row = trials[c.trial].row;
+            row.variant = c.spec.name;
+            row.chosen = true;
+            row.predicted = PredictedCosts{c.selection.choose_s, e.build_s, e.bytes, e.ns_per_ray,
+                                           c.selection.expected_ns};
+            constexpr size_t shown = 5;
+            output_.explanations.push_back(
+                fmt::format("{}, {}, {}: {}  measured: {:.1f} ns/ray, built in {:.4f} s\n",
+                            row.scene, row.workload, row.variant,
+                            explanation(c.selection, {c.rays, spec_.objective.memory, {}}, shown),
+                            row.ns_per_ray.median, row.build_s));
+            if (spec_.run.budgets.empty() && c.shared) {
+                results_.add(row);
+                output_.rows.push_back(row);
+            }
+            trials[c.trial].row.chosen |= !c.shared;
+        }
+    }
+
+    /// A row for each variant and budget with its total time.
+    void time_budgets(std::vector<Trial>& trials) {
+        std::map<std::string, TotalTime> totals;
+        const auto total = [&](const Trial& trial) -> TotalTime& {
+            const Variant& spec = *trial.built->spec;
+            return totals
+                .try_emplace(
+                    spec.canonical, [this, &spec] { return assembled(spec); }, rays_,
+                    timed_tracing(*trial.built))
+                .first->second;
+        };
+        // Those with as many rays in fact are one measurement.
+        std::set<double> measured;
+        for (const double rays : spec_.run.budgets)
+            measured.insert(std::min(rays, double(rays_.size())));
+        constexpr int passes = 3;
+        for (int pass = 0; pass < passes; ++pass) {
+            progress_.step(fmt::format("timing totals: pass {} of {}", pass + 1, passes), true);
+            for (const double rays : measured)
+                for (const Trial& trial : trials) total(trial).measure(rays);
+        }
+        const auto add = [&](const Trial& trial, Row row, double rays, double choose_s) {
+            TotalTime& time = total(trial);
+            row.budget = BudgetTotal{rays, choose_s, choose_s + time.seconds(rays)};
+            row.build_s = time.build_s();
+            row.ns_per_ray.median = time.ns_per_ray();
+            results_.add(row);
+            output_.budget_rows.push_back(std::move(row));
+        };
+        for (const Trial& trial : trials)
+            if (!trial.row.chosen)
+                for (const double rays : spec_.run.budgets) add(trial, trial.row, rays, 0);
+        for (const Chosen& c : chosen_) {
+            Row row = trials[c.trial].row;
+            const CostEstimate& e = c.selection.choice().predicted;
+            row.variant = c.variant->name;
+            row.chosen = true;
+            row.predicted = PredictedCosts{c.selection.choose_s, e.build_s, e.bytes, e.ns_per_ray,
+                                           c.selection.expected_ns};
+            add(trials[c.trial], row, c.rays, c.selection.choose_s);
+        }
     }
 
     Tracing timed_tracing(const Built& built) const {
@@ -346,7 +549,7 @@ class Run {
         row.key = key_of(*trial.built, index);
         results_.add(row);
         dump_hits(trial, workload);
-        output_.rows.push_back(std::move(row));
+        output_.rows.push_back(row);
     }
 
     void describe_variant(const Built& built, Row& row) const {
@@ -398,21 +601,25 @@ class Run {
         progress_.step("drawing normals");
         save("normal-" + file_name_of(scene_.name),
              normal_image(scene_, reference(), camera, width, height));
-        for (const Built& built : built_) {
-            if (built.spec->exact) continue;
-            progress_.step("drawing normals of " + built.spec->name);
-            save("normal-" + file_name_of(scene_.name + "-" + built.spec->name),
-                 normal_image(scene_, *built.assembly.root, camera, width, height));
+        // And what was chosen for the last workload.
+        std::vector<const Built*> drawn;
+        for (const Built& built : built_) drawn.push_back(&built);
+        for (const Built& built : chosen_built_) drawn.push_back(&built);
+        for (const Built* built : drawn) {
+            if (built->spec->exact) continue;
+            progress_.step("drawing normals of " + built->spec->name, true);
+            save("normal-" + file_name_of(scene_.name + "-" + built->spec->name),
+                 normal_image(scene_, *built->assembly.root, camera, width, height));
         }
         std::vector<CostMap> maps;
         double highest = 0;
-        for (const Built& built : built_) {
-            progress_.step("drawing the cost of " + built.spec->name);
-            maps.push_back(cost_map(*built.assembly.root, camera, width, height, picture_s));
+        for (const Built* built : drawn) {
+            progress_.step("drawing the cost of " + built->spec->name);
+            maps.push_back(cost_map(*built->assembly.root, camera, width, height, picture_s));
             highest = std::max(highest, maps.back().highest);
         }
         for (size_t i = 0; i < maps.size(); ++i)
-            save("cost-" + file_name_of(scene_.name + "-" + built_[i].spec->name),
+            save("cost-" + file_name_of(scene_.name + "-" + drawn[i]->spec->name),
                  heat_image(maps[i], highest));
     }
 
@@ -448,6 +655,11 @@ class Run {
     BoundingSphere sphere_;
     double pixel_ = 0;  ///< angle of a pixel, radians
     std::vector<Built> built_;
+    std::list<Chosen> chosen_;       ///< for the current workload
+    std::list<Built> chosen_built_;  ///< those without a variant of the same plan
+    std::vector<Ray> sample_;        ///< of rays_
+    std::optional<SceneCounts> counts_;
+    std::optional<Pilot> pilot_;
     std::optional<Assembly> reference_;
     std::optional<exact::Oracle> oracle_;
     std::vector<Ray> rays_;

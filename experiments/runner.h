@@ -12,9 +12,11 @@ namespace crofton {
 
 struct RunOutput {
     std::vector<Row> rows;
-    std::vector<std::string> pictures;    ///< files in the results' folder
-    std::vector<std::string> mismatches;  ///< one line a variant whose hits differ
-    std::vector<std::string> notes;       ///< what a reader of the table must know
+    std::vector<Row> budget_rows;           ///< one for each variant, workload and budget
+    std::vector<std::string> explanations;  ///< of what `auto` chose
+    std::vector<std::string> pictures;      ///< files in the results' folder
+    std::vector<std::string> mismatches;    ///< one line a variant whose hits differ
+    std::vector<std::string> notes;         ///< what a reader of the table must know
 };
 
 /// Runs one experiment: loads the scene, builds every variant once, and for every workload checks

@@ -50,6 +50,7 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("structure", ConfigValue::of(s.structure));
     table.set("shapes", ConfigValue::of(s.shapes));
     table.set("spread", array_of({s.ray_spread, s.build_spread}));
+    table.set("order", ConfigValue::of(s.order));
     table.set("counted",
               array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error}));
     ConfigValue growth;
@@ -93,6 +94,7 @@ StructureCosts read_structure(ConfigTable& table) {
     s.shapes = table.string("shapes", "");
     const std::vector<double> spread = required(table, "spread", 2);
     s.ray_spread = spread[0], s.build_spread = spread[1];
+    s.order = table.real("order", 1, 1e-9, most);
     const std::vector<double> c = required(table, "counted", 5);
     s.per_ray = c[0], s.per_step = c[1], s.per_test = c[2], s.per_doubling = c[3];
     s.fit_error = c[4];
@@ -146,6 +148,12 @@ GrowthPoint StructureCosts::at(double shapes) const {
     };
     return {n, between(a.build_ns, b.build_ns), between(a.bytes, b.bytes),
             between(a.ray_ns, b.ray_ns)};
+}
+
+double StructureCosts::counted_ns(double steps, double tests, double bytes,
+                                  double cache_bytes) const {
+    const double doublings = std::max(0.0, std::log2(bytes / cache_bytes));
+    return per_ray + (per_step * steps + per_test * tests) * (1 + per_doubling * doublings);
 }
 
 const StructureCosts* Calibration::find(const std::string& structure,

@@ -47,8 +47,13 @@ struct StructureCosts {
     std::string structure;            ///< see StructureChoice::name
     std::string shapes;               ///< "triangles", "quadrics" or "polygons"
     std::vector<GrowthPoint> growth;  ///< ascending in shapes, at least one
-    double ray_spread = 0;    ///< standard deviation of ln(ns per ray) between scenes of one size
-    double build_spread = 0;  ///< the same of the build
+    /// Standard deviation of ln(ns per ray / that of a wide_bvh) between scenes of one size.
+    double ray_spread = 0;
+    double build_spread = 0;  ///< of ln(build_ns) between scenes of one size
+
+    /// Of a structure that keeps the shapes' order, the mean of order_visits over the scenes that
+    /// its ns per ray come from: these grow with its square root. 1: the order does not matter.
+    double order = 1;
 
     /// Nanoseconds of a ray from counters: per_ray + (per_step·N_TS + per_test·N_IT)·f, with f = 1
     /// + per_doubling·log2(bytes / what the second cache holds) beyond that cache, else 1.
@@ -57,6 +62,8 @@ struct StructureCosts {
 
     /// At any number of shapes >= 1.
     GrowthPoint at(double shapes) const;
+    /// Nanoseconds of a ray with such counts. @param cache_bytes  what the second cache holds
+    double counted_ns(double steps, double tests, double bytes, double cache_bytes) const;
 };
 
 /// Costs of one machine. The constants of framework/cost.h, which builders weigh nodes with, stay

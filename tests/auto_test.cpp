@@ -1,11 +1,18 @@
 // Calibrations, estimates and choices, all with constants that a test injects: no clock decides.
 
+#include <Eigen/Geometry>
 #include <cmath>
 
 #include "accelerators/auto_select.h"
+#include "experiments/budget.h"
 #include "experiments/fit.h"
+#include "experiments/theorem.h"
+#include "experiments/workload.h"
 #include "framework/error.h"
 #include "framework/triangle_set.h"
+#include "scenegraph/auto_plan.h"
+#include "scenegraph/procedural/procedural.h"
+#include "scenegraph/thinned.h"
 #include "tests/catch.h"
 #include "tests/scratch_file.h"
 
@@ -14,7 +21,7 @@ using namespace crofton;
 namespace {
 
 StructureCosts costs(const std::string& name, double build_ns, double bytes, double ray_ns) {
-    return {name, "triangles", {{16, build_ns, bytes, ray_ns}}, 0.1, 0.1, 1, 2, 3, 0.1, 0.05};
+    return {name, "triangles", {{16, build_ns, bytes, ray_ns}}, 0.1, 0.1, 1, 1, 2, 3, 0.1, 0.05};
 }
 
 /// Three structures: cheap to build, compromise, fast to trace.
@@ -108,7 +115,7 @@ TEST_CASE("fit: constants that made the times are found again") {
         for (double tests : {1.0, 8.0})
             for (double bytes : {1e5, 8e6}) {
                 CountedRay r{{0, steps, tests}, bytes};
-                r.ray.ns = counted_ns(truth, r.ray, bytes, 1e6);
+                r.ray.ns = truth.counted_ns(steps, tests, bytes, 1e6);
                 rays.push_back(r);
             }
     StructureCosts fitted;
@@ -176,4 +183,193 @@ TEST_CASE("auto: every structure that can be chosen is known without a calibrati
         CHECK(found->growth.back().build_ns > 0);
         CHECK(found->growth.back().ray_ns > 0);
     }
+}
+
+namespace {
+
+/// Two terrains far apart, one placed three times.
+Scene two_terrains() {
+    Scene scene = make_scene("terrain", {{"n", 8.0}});
+    Scene other = make_scene("terrain", {{"n", 32.0}});
+    const uint32_t mesh = scene.nodes[scene.roots[0]].mesh.value();
+    scene.add_node("again", mesh, translation({40, 0, 0}));
+    scene.add_node("and again", mesh, translation({0, 0, 40}));
+    scene.add_object("other", std::move(other.geometries[0]), translation({-40, 0, 0}));
+    return scene;
+}
+
+AutoOptions counted_for(double rays, double memory = 0) {
+    AutoOptions options;
+    options.objective.rays = rays;
+    options.objective.memory = memory;
+    options.clock = false;
+    return options;
+}
+
+Selection choose(const Scene& scene, const AutoOptions& options, std::span<const Ray> rays) {
+    return choose_assembly(scene, options, {rays, false, Mode::robust}, three());
+}
+
+double area_of(const Scene& scene) {
+    double area = 0;
+    for (const Geometry& g : scene.geometries) {
+        const auto& mesh = std::get<TriangleMesh>(g.shapes);
+        for (const auto& t : mesh.triangles)
+            area += (mesh.positions[t[1]] - mesh.positions[t[0]])
+                        .cross(mesh.positions[t[2]] - mesh.positions[t[0]])
+                        .norm();
+    }
+    return area;
+}
+
+}  // namespace
+
+TEST_CASE("auto: shapes are counted by kind, once and as often as they are placed") {
+    const SceneCounts counts = count_shapes(two_terrains());
+    REQUIRE(counts.kinds.size() == 1);
+    CHECK(counts.main_kind() == "triangles");
+    CHECK(counts.kinds[0].unique == 128 + 2048);
+    CHECK(counts.kinds[0].placed == 3 * 128 + 2048);
+    CHECK(counts.placements == 4);
+    CHECK(counts.meshes.size() == 2);
+}
+
+TEST_CASE("auto: shared nodes are counted without walking every path") {
+    // 20^5 cubes; a path at a time would take minutes at this depth.
+    const SceneCounts counts = count_shapes(make_scene("menger", {{"depth", 5.0}}));
+    CHECK(counts.placements == std::pow(20.0, 5));
+}
+
+TEST_CASE("auto: a whole scene's choice follows the number of rays") {
+    const Scene scene = two_terrains();
+    const auto rays = random_lines({Vec3d::Zero(), 50}, 64, 1);
+    CHECK(choose(scene, counted_for(1), rays).choice().choice.structure.name == "bvh/lbvh");
+    CHECK(choose(scene, counted_for(1e9), rays).choice().choice.structure.name == "bvh/sbvh");
+}
+
+TEST_CASE("auto: the same calibration, scene and rays give the same choice and estimates") {
+    const Scene scene = two_terrains();
+    const auto rays = random_lines({Vec3d::Zero(), 50}, 64, 1);
+    for (const double budget : {1e2, 1e4, 1e6, 1e8}) {
+        const Selection a = choose(scene, counted_for(budget), rays);
+        const Selection b = choose(scene, counted_for(budget), rays);
+        CHECK(a.choice().choice.name == b.choice().choice.name);
+        REQUIRE(a.candidates.size() == b.candidates.size());
+        for (size_t i = 0; i < a.candidates.size(); ++i) {
+            CHECK(a.candidates[i].choice.name == b.candidates[i].choice.name);
+            CHECK(a.candidates[i].known().ns_per_ray == b.candidates[i].known().ns_per_ray);
+        }
+    }
+}
+
+TEST_CASE("auto: what is built never takes more than the memory limit") {
+    const Scene scene = two_terrains();
+    const auto rays = random_lines({Vec3d::Zero(), 50}, 64, 1);
+    int fitted = 0, refused = 0;
+    for (double limit = 1e3; limit < 1e7; limit *= 2) {
+        try {
+            const Selection s = choose(scene, counted_for(1e8, limit), rays);
+            CHECK(double(total_statistics(*s.assembly.root).bytes) <= limit);
+            ++fitted;
+        } catch (const InputError&) {
+            ++refused;
+        }
+    }
+    CHECK(fitted > 0);
+    CHECK(refused > 0);
+}
+
+TEST_CASE("auto: without rays to try, and for empty scenes, counts alone decide") {
+    CHECK(choose(two_terrains(), counted_for(1e9), {}).choice().choice.structure.name ==
+          "bvh/sbvh");
+    const Selection none = choose(Scene{}, counted_for(1e6), {});
+    REQUIRE(none.assembly.root);
+    CHECK_FALSE(none.assembly.root->intersect(Ray{}).is_hit());
+}
+
+TEST_CASE("auto: what is chosen gives the hits of any other structure") {
+    const Scene scene = two_terrains();
+    const auto rays = random_lines({Vec3d::Zero(), 60}, 500, 3);
+    AssemblyPlan plan;
+    plan.top = plan.objects = std::make_shared<const AcceleratorChoice>(
+        AcceleratorChoice{"kdtree", "kdtree", {}, nullptr});
+    const Assembly other = assemble(scene, plan);
+    for (const double budget : {1.0, 1e5, 1e9}) {
+        const Selection s = choose(scene, counted_for(budget), rays);
+        for (const Ray& ray : rays)
+            CHECK(s.assembly.root->intersect(ray) == other.root->intersect(ray));
+    }
+}
+
+TEST_CASE("auto: the explanation names what was chosen and what was not") {
+    const Scene scene = two_terrains();
+    const auto rays = random_lines({Vec3d::Zero(), 50}, 64, 1);
+    const AutoOptions options = counted_for(1e9);
+    const std::string text = explanation(choose(scene, options, rays), options.objective);
+    CHECK(text.find("* ") != std::string::npos);
+    CHECK(text.find("flat bvh/lbvh") != std::string::npos);
+    CHECK(text.find("bvh/sbvh") != std::string::npos);
+    CHECK(text.find("built") != std::string::npos);
+}
+
+TEST_CASE("thinned: fewer shapes of the same area in all, always the same ones") {
+    const Scene scene = make_scene("terrain", {{"n", 64.0}});
+    const Scene thin = thinned(scene, 16);
+    const auto count = [](const Scene& s) {
+        return std::get<TriangleMesh>(s.geometries[0].shapes).triangles.size();
+    };
+    CHECK(count(scene) == 8192);
+    CHECK(count(thin) == 512);
+    // Some are cut back to their region.
+    CHECK(area_of(thin) == Approx(area_of(scene)).epsilon(0.2));
+    CHECK(std::get<TriangleMesh>(thinned(scene, 16).geometries[0].shapes).positions ==
+          std::get<TriangleMesh>(thin.geometries[0].shapes).positions);
+    CHECK(count(thinned(scene, 1)) == count(scene));
+}
+
+TEST_CASE("thinned: a few large shapes among many small ones stay as they are") {
+    Scene scene = make_scene("terrain", {{"n", 32.0}});
+    auto& mesh = std::get<TriangleMesh>(scene.geometries[0].shapes);
+    const auto first = uint32_t(mesh.positions.size());
+    for (const Vec3f& p : {Vec3f(-900, 0, 0), Vec3f(900, 0, 0), Vec3f(0, 900, 0)})
+        mesh.positions.push_back(p);
+    mesh.triangles.push_back({first, first + 1, first + 2});
+    const Scene thin = thinned(scene, 32);
+    const auto& left = std::get<TriangleMesh>(thin.geometries[0].shapes);
+    int large = 0;
+    for (const auto& t : left.triangles) large += left.positions[t[0]].x() == -900;
+    CHECK(large == 1);
+    CHECK(left.triangles.size() < 100);
+}
+
+TEST_CASE("theorem: areas and probabilities from random lines converge as 1/sqrt(N)") {
+    for (const char* name : {"terrain", "tetra", "sphereflake"}) {
+        INFO(name);
+        const Scene scene =
+            make_scene(name, std::string(name) == "terrain" ? ProceduralValues{{"n", 32.0}}
+                                                            : ProceduralValues{{"depth", 3.0}});
+        const auto rows = crofton_theorem(scene, 64000, 1);
+        REQUIRE(rows.size() == 4);
+        for (const TheoremRow& row : rows)
+            for (const LineMean& m : {row.area, row.box, row.boxes}) {
+                // Twelve means of fixed lines: five standard errors mean a wrong formula.
+                CHECK(std::abs(m.mean - m.truth) <= 5 * m.standard_error);
+                CHECK(m.truth > 0);
+            }
+        // 64 times the lines: an eighth of the error.
+        const double ratio = rows[0].area.standard_error / rows[3].area.standard_error;
+        CHECK(ratio == Approx(8).epsilon(0.25));
+    }
+}
+
+TEST_CASE("theorem: a scene without surface is refused") {
+    CHECK_THROWS_AS(crofton_theorem(Scene{}, 1000, 1), InputError);
+}
+
+TEST_CASE("budget: rank correlations are those of the ranks, ties in the middle") {
+    const std::vector<double> a{1, 2, 3, 4}, same{10, 20, 30, 4000}, reverse{4, 3, 2, 1},
+        tied{1, 1, 2, 2};
+    CHECK(rank_correlation(a, same) == Approx(1));
+    CHECK(rank_correlation(a, reverse) == Approx(-1));
+    CHECK(rank_correlation(a, tied) == Approx(2 / std::sqrt(5.0)));
 }

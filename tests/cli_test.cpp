@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -22,7 +23,11 @@ struct Outcome {
     std::string out;  ///< stdout and stderr
 };
 
+/// Choices are made with nominal costs: no test measures the machine.
+const bool nominal_costs = setenv("CROFTON_CALIBRATION", "nominal", 1) == 0;
+
 Outcome run_crofton(const std::string& arguments) {
+    REQUIRE(nominal_costs);
     const std::string command = std::string(CROFTON_BINARY) + " " + arguments + " 2>&1";
     FILE* pipe = popen(command.c_str(), "r");
     REQUIRE(pipe);
@@ -69,7 +74,7 @@ const char* const small =
 TEST_CASE("cli: help is there for every command and exits with 0") {
     for (const char* arguments :
          {"--help", "run --help", "inspect --help", "render --help", "build --help",
-          "export --help", "list --help", "verify --help", "calibrate --help"}) {
+          "export --help", "list --help", "verify --help", "calibrate --help", "theorem --help"}) {
         const Outcome outcome = run_crofton(arguments);
         INFO(arguments);
         CHECK(outcome.code == 0);
@@ -390,4 +395,75 @@ TEST_CASE("cli: variants that end rays early report a depth error and fail no ch
         CHECK(parsed[2].at("depth_error").is_null());
         CHECK(read_text(out + "/normal-terrain-coarse.png").substr(1, 3) == "PNG");
     }
+}
+
+TEST_CASE("cli: auto explains itself, and refuses what it cannot do with one line") {
+    const std::string scene = "procedural:terrain --set scene.parameters.n=32";
+    const Outcome few = run_crofton("inspect " + scene + " --explain --set objective.rays=10");
+    CHECK(few.code == 0);
+    CHECK(few.out.find("Chosen for 10 rays") != std::string::npos);
+    CHECK(few.out.find("kdtree") != std::string::npos);
+    const Outcome tight = run_crofton("inspect " + scene + " --explain --set objective.memory=10");
+    CHECK(tight.code == 2);
+    CHECK(tight.out.find("10 bytes") != std::string::npos);
+    CHECK(std::count(tight.out.begin(), tight.out.end(), '\n') == 1);
+    for (const char* bad : {"objective.ray=1", "objective.rays=0", "objective.priority=speed",
+                            "objective.memory=-1", "objective.clock=3"}) {
+        INFO(bad);
+        const Outcome outcome =
+            run_crofton("inspect " + scene + " --explain --set " + std::string(bad));
+        CHECK(outcome.code == 2);
+        CHECK(std::count(outcome.out.begin(), outcome.out.end(), '\n') == 1);
+    }
+}
+
+TEST_CASE("cli: a run with budgets has a row for each, with what auto took and expected") {
+    const Folder folder;
+    const std::string config =
+        folder.file("budgets.toml",
+                    "[scene]\nprocedural = \"terrain\"\nparameters = { n = 32 }\n"
+                    "[[variant]]\nname = \"auto\"\ntop = \"auto\"\ndefault = \"auto\"\n"
+                    "[[variant]]\nname = \"bvh\"\ntop = \"bvh\"\nflatten = true\n"
+                    "[[workload]]\ntype = \"random\"\nrays = 2000\n"
+                    "[run]\nrepeats = 2\npictures = false\nbudgets = [1e3, 1e6]\npredict = true\n");
+    const std::string out = folder.path("out");
+    const Outcome outcome = run_crofton("run " + config + " --quiet --out " + out);
+    INFO(outcome.out);
+    REQUIRE(outcome.code == 0);
+    std::ifstream rows(out + "/rows.jsonl");
+    int automatic = 0, fixed = 0;
+    for (std::string line; std::getline(rows, line);) {
+        const auto row = nlohmann::json::parse(line);
+        if (!row.contains("budget_rays")) continue;
+        const double total = row["total_s"], choose = row["choose_s"];
+        CHECK(total >= choose);
+        CHECK(double(row["predicted_ns_per_ray"]) > 0);
+        CHECK(double(row["predicted_bytes"]) > 0);
+        CHECK(double(row["expected_ns_per_ray"]) > 0);
+        ++(row["variant"] == "auto" ? automatic : fixed);
+    }
+    CHECK(automatic == 2);
+    CHECK(fixed == 2);
+    CHECK(outcome.out.find("Total time") != std::string::npos);
+    CHECK(outcome.out.find("Predicted against measured") != std::string::npos);
+}
+
+TEST_CASE("cli: a config without accelerators is auto") {
+    const Folder folder;
+    const std::string config =
+        folder.file("nothing.toml",
+                    "[scene]\nprocedural = \"terrain\"\nparameters = { n = 16 }\n"
+                    "[[workload]]\ntype = \"random\"\nrays = 500\n"
+                    "[run]\nrepeats = 2\npicture_width = 64\npicture_height = 64\n");
+    const Outcome outcome = run_crofton("run " + config + " --quiet --out " + folder.path("out"));
+    INFO(outcome.out);
+    CHECK(outcome.code == 0);
+    CHECK(outcome.out.find("Chosen for 500 rays") != std::string::npos);
+}
+
+TEST_CASE("cli: Crofton's theorem is shown as a table") {
+    const Outcome outcome = run_crofton("theorem procedural:tetra --lines 4000");
+    CHECK(outcome.code == 0);
+    CHECK(outcome.out.find("boxes met") != std::string::npos);
+    CHECK(run_crofton("theorem procedural:tetra --lines 1").code == 2);
 }

@@ -1,0 +1,27 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "framework/ray.h"
+#include "scenegraph/scene.h"
+
+namespace crofton {
+
+/// A scene to calibrate with, and the rays that are traced through it.
+struct CalibrationScene {
+    std::string shapes;  ///< kind, as in StructureCosts
+    double size = 0;     ///< nominal number of shapes: equal ones make one point of the growth
+    Scene scene;
+    uint64_t count = 0;       ///< shapes in fact
+    std::vector<Ray> lines;   ///< isotropic, that meet the scene's box
+    std::vector<Ray> inside;  ///< from what these hit, in any direction
+};
+
+/// Terrains, and clutter as models have it: bumpy balls and thin boxes of sizes from one to a
+/// hundred over a floor, in the order in which a modeller would add them. The same shapes as
+/// quadrics and as polygons. Ascending in size. None of these is a scene that experiments judge
+/// predictions on.
+std::vector<CalibrationScene> calibration_scenes();
+
+}  // namespace crofton
