@@ -12,6 +12,7 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
+#include "framework/calibration.h"
 #include "framework/error.h"
 #include "framework/registry.h"
 #include "revision.h"
@@ -35,14 +36,6 @@ std::string default_folder(const std::string& stem) {
     std::string folder = base;
     for (int i = 2; fs::exists(folder); ++i) folder = fmt::format("{}-{}", base, i);
     return folder;
-}
-
-std::string cpu_model() {
-    std::ifstream file("/proc/cpuinfo");
-    for (std::string line; std::getline(file, line);)
-        if (line.starts_with("model name"))
-            return line.substr(std::min(line.size(), line.find(':') + 2));
-    return "unknown";
 }
 
 Json load_average() {

@@ -21,14 +21,6 @@ namespace fs = std::filesystem;
 constexpr int64_t file_version = 1;
 constexpr double most = 1e300;
 
-std::string cpu_model() {
-    std::ifstream file("/proc/cpuinfo");
-    for (std::string line; std::getline(file, line);)
-        if (line.starts_with("model name"))
-            return line.substr(std::min(line.size(), line.find(':') + 2));
-    return "unknown";
-}
-
 /// Between two points on logarithmic axes, and beyond them.
 double interpolated(double x, double x0, double y0, double x1, double y1) {
     if (!(y0 > 0) || !(y1 > 0) || x0 == x1) return y1;
@@ -119,6 +111,14 @@ Calibration& current() {
 }
 
 }  // namespace
+
+std::string cpu_model() {
+    std::ifstream file("/proc/cpuinfo");
+    for (std::string line; std::getline(file, line);)
+        if (line.starts_with("model name"))
+            return line.substr(std::min(line.size(), line.find(':') + 2));
+    return "unknown";
+}
 
 MachineIdentity MachineIdentity::here(const std::string& version) {
     return {cpu_model(), active_isa(), version, crofton::threads()};

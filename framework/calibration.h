@@ -6,10 +6,13 @@
 
 namespace crofton {
 
+/// The processor, as the system names it; "unknown" if it does not.
+std::string cpu_model();
+
 /// What a machine's times are known for: its processor, the instruction set that kernels use, and
 /// the program. Times of another are not to be used.
 struct MachineIdentity {
-    std::string cpu;      ///< as the system names the model
+    std::string cpu;      ///< see cpu_model
     std::string isa;      ///< see active_isa
     std::string version;  ///< of crofton
     int threads = 0;      ///< that builds use

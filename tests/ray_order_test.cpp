@@ -8,6 +8,7 @@
 #include "framework/registry.h"
 #include "framework/triangle_set.h"
 #include "tests/catch.h"
+#include "tests/height_field.h"
 
 namespace crofton {
 namespace {
@@ -57,20 +58,10 @@ TEST_CASE("ray order: a permutation that brings neighbours together") {
 TEST_CASE("ray order: many scattered rays through a large structure give the single calls' hits") {
     // More than 16 MiB of structure: where the order of rays is changed.
     constexpr uint32_t n = 480;
-    std::vector<Vec3f> corners;
-    std::vector<TriangleSet::Indices> triangles;
-    for (uint32_t y = 0; y <= n; ++y)
-        for (uint32_t x = 0; x <= n; ++x)
-            corners.emplace_back(
-                float(x) / n, float(y) / n,
-                0.5f + 0.2f * std::sin(0.05f * float(x)) * std::cos(0.07f * float(y)));
-    for (uint32_t y = 0; y < n; ++y)
-        for (uint32_t x = 0; x < n; ++x) {
-            const uint32_t c = y * (n + 1) + x;
-            triangles.push_back({c, c + 1, c + n + 1});
-            triangles.push_back({c + 1, c + n + 2, c + n + 1});
-        }
-    const PrimitiveSet set = std::make_shared<const TriangleSet>(corners, triangles);
+    const HeightField mesh(n, [](float x, float y) {
+        return Vec3f(x / n, y / n, 0.5f + 0.2f * std::sin(0.05f * x) * std::cos(0.07f * y));
+    });
+    const PrimitiveSet set = std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles);
     const auto object = accelerator("wide_bvh").build(set, {});
     REQUIRE(object->statistics().bytes > RayOrder::large_structure);
     const std::vector<Ray> rays = scattered_rays(20000);

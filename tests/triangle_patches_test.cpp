@@ -7,6 +7,7 @@
 #include "framework/primitive.h"
 #include "framework/registry.h"
 #include "tests/catch.h"
+#include "tests/height_field.h"
 
 namespace crofton {
 namespace {
@@ -69,18 +70,9 @@ TEST_CASE("triangle patches: neighbours share corners, and every triangle is in 
 
 TEST_CASE("triangle patches: a mesh in wide_bvh takes at most 46 bytes a triangle, 42 quantised") {
     constexpr uint32_t n = 128;
-    std::vector<Vec3f> corners;
-    std::vector<TriangleSet::Indices> triangles;
-    for (uint32_t y = 0; y <= n; ++y)
-        for (uint32_t x = 0; x <= n; ++x)
-            corners.emplace_back(float(x), float(y), 8 * std::sin(0.1f * float(x * x + 3 * y)));
-    for (uint32_t y = 0; y < n; ++y)
-        for (uint32_t x = 0; x < n; ++x) {
-            const uint32_t c = y * (n + 1) + x;
-            triangles.push_back({c, c + 1, c + n + 1});
-            triangles.push_back({c + 1, c + n + 2, c + n + 1});
-        }
-    const PrimitiveSet set = std::make_shared<const TriangleSet>(corners, triangles);
+    const HeightField mesh(
+        n, [](float x, float y) { return Vec3f(x, y, 8 * std::sin(0.1f * (x * x + 3 * y))); });
+    const PrimitiveSet set = std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles);
     const auto bytes = [&](const ParameterValues& values) {
         return double(accelerator("wide_bvh").build(set, values)->statistics().bytes) / (2 * n * n);
     };
@@ -91,22 +83,12 @@ TEST_CASE("triangle patches: a mesh in wide_bvh takes at most 46 bytes a triangl
 TEST_CASE("thin rays: a scene's size does not make its small parts thick") {
     // A flat mesh of a hundredth, and far below it a triangle of a thousand.
     constexpr uint32_t n = 16;
-    std::vector<Vec3f> corners;
-    std::vector<TriangleSet::Indices> triangles;
-    for (uint32_t y = 0; y <= n; ++y)
-        for (uint32_t x = 0; x <= n; ++x)
-            corners.emplace_back(0.01f * float(x) / n, 0.01f * float(y) / n, 0.0f);
-    for (uint32_t y = 0; y < n; ++y)
-        for (uint32_t x = 0; x < n; ++x) {
-            const uint32_t c = y * (n + 1) + x;
-            triangles.push_back({c, c + 1, c + n + 1});
-            triangles.push_back({c + 1, c + n + 2, c + n + 1});
-        }
-    const uint32_t far = uint32_t(corners.size());
+    HeightField mesh(n, [](float x, float y) { return Vec3f(0.01f * x / n, 0.01f * y / n, 0); });
+    const uint32_t far = uint32_t(mesh.corners.size());
     for (const Vec3f& p : {Vec3f(-500, -500, -500), Vec3f(500, -500, -500), Vec3f(0, 500, -500)})
-        corners.push_back(p);
-    triangles.push_back({far, far + 1, far + 2});
-    const PrimitiveSet set = std::make_shared<const TriangleSet>(corners, triangles);
+        mesh.corners.push_back(p);
+    mesh.triangles.push_back({far, far + 1, far + 2});
+    const PrimitiveSet set = std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles);
     for (const char* name : {"bvh", "wide_bvh"}) {
         INFO(name);
         const auto object = accelerator(name).build(set, {});
