@@ -466,7 +466,7 @@ class Run {
             for (size_t i = 0; i < rays.size(); ++i) {
                 const exact::Judgement j =
                     any_ ? oracle_->judge(rays[i], hits[i].is_hit(), truths[i])
-                         : oracle_->judge(rays[i], hits[i], truths[i]);
+                         : oracle_->judge(rays[i], hits[i], truths[i], *trial.built->spec->mode);
                 tally.add(j);
                 const bool right =
                     j.kind == exact::Judgement::Kind::right && hits[i].is_hit() && !any_;

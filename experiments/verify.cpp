@@ -105,7 +105,7 @@ class RayCheck {
     /// Most accelerators give one and the same hit, which is judged once.
     Judgement judge(const Hit& hit) {
         if (!judged_ || !(hit == judged_hit_)) {
-            judged_ = bench_.oracle.judge(aimed_.ray, hit, truth_);
+            judged_ = bench_.oracle.judge(aimed_.ray, hit, truth_, bench_.mode);
             judged_hit_ = hit;
         }
         return *judged_;

@@ -133,7 +133,7 @@ void Oracle::visit(const DoubleRay& ray, double scale, const double& t_end,
         const Tree::Node& node = tree_->nodes[index];
         double near, far;
         if (!passes(ray, node.box, scale, near, far)) continue;
-        const double slack = scale * t_bound;
+        const double slack = scale * std::max(ray.t_bound, double_t_bound);
         if (near - slack * std::abs(near) > t_end || far + slack * std::abs(far) < ray.t_min)
             continue;
         if (node.count == 0) {
@@ -243,9 +243,9 @@ bool Oracle::any(const Ray& ray) const {
 /// Whether some shapes within the leaf tests' bounds give this answer: the hit must be a candidate,
 /// and nothing that must be found may come surely before it. A t of infinity stands for all that no
 /// float holds.
-bool Oracle::allowed(const Ray& ray, const Hit& hit) const {
+bool Oracle::allowed(const Ray& ray, const Hit& hit, Mode mode) const {
     if (hit.is_hit() && !(hit.t >= ray.t_min && hit.t <= ray.t_max)) return false;
-    const DoubleRay r(ray);
+    const DoubleRay r(ray, mode == Mode::fast ? fast_t_bound : t_bound);
     const double t_high = hit.is_hit() ? double(hit.t) : INFINITY;
     const double t_low =
         hit.is_hit() ? std::min<double>(hit.t, std::numeric_limits<float>::max()) : INFINITY;
@@ -258,7 +258,7 @@ bool Oracle::allowed(const Ray& ray, const Hit& hit) const {
     return possible && !passed_over;
 }
 
-Judgement Oracle::judge(const Ray& ray, const Hit& hit, const Answer& truth) const {
+Judgement Oracle::judge(const Ray& ray, const Hit& hit, const Answer& truth, Mode mode) const {
     using Kind = Judgement::Kind;
     Judgement j;
     if (!hit.is_hit() && !truth.is_hit()) return j;
@@ -270,12 +270,12 @@ Judgement Oracle::judge(const Ray& ray, const Hit& hit, const Answer& truth) con
         j.kind = Kind::wrong_primitive;
     } else {
         j.t_ulp = ulps(hit.t, truth.t(), ray);
-        if (hit.t == truth.t() || allowed(ray, hit)) return j;
+        if (hit.t == truth.t() || allowed(ray, hit, mode)) return j;
         j.kind = Kind::wrong_t;
         j.inside_margin = false;
         return j;
     }
-    j.inside_margin = !is_void(ray) && allowed(ray, hit);
+    j.inside_margin = !is_void(ray) && allowed(ray, hit, mode);
     return j;
 }
 

@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "framework/mode.h"
 #include "framework/quadric_set.h"
 #include "framework/ray.h"
 #include "framework/transform.h"
@@ -98,7 +99,9 @@ class Oracle {
 
     /// Compares the library's answers with the truth.
     /// @param truth  closest(ray)
-    Judgement judge(const Ray& ray, const Hit& hit, const Answer& truth) const;
+    /// @param mode   in which the hit was found
+    Judgement judge(const Ray& ray, const Hit& hit, const Answer& truth,
+                    Mode mode = Mode::robust) const;
     Judgement judge(const Ray& ray, bool occluded, const Answer& truth) const;
 
     /// Number of surfaces that the ray crosses, if no leaf test can see it otherwise: odd from the
@@ -119,7 +122,7 @@ class Oracle {
 
     Hit id(const Reference& r) const;
     std::vector<Open> open_candidates(const Ray& ray) const;
-    bool allowed(const Ray& ray, const Hit& hit) const;
+    bool allowed(const Ray& ray, const Hit& hit, Mode mode) const;
     bool certain(const Ray& ray, double scale) const;
     template <class Visit>
     void visit(const DoubleRay& ray, double scale, const double& t_end, const Visit& visit) const;

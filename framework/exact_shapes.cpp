@@ -29,7 +29,8 @@ void Box::extend(const Box& b) {
     size = std::max(size, b.size);
 }
 
-DoubleRay::DoubleRay(const Ray& ray) : t_min(ray.t_min), t_max(ray.t_max) {
+DoubleRay::DoubleRay(const Ray& ray, double bound)
+    : t_min(ray.t_min), t_max(ray.t_max), t_bound(bound) {
     for (int a = 0; a < 3; ++a) o[a] = ray.origin[a], d[a] = ray.direction[a];
     kz = main_axis(ray.direction);
     kx = (kz + 1) % 3;

@@ -21,14 +21,21 @@ struct Box {
     void extend(const Box& b);
 };
 
+/// t of a triangle, relative: rounded to float once from double, where the corners' errors are far
+/// below triangle_bound (solve_in_double in framework/simd.h).
+inline constexpr double t_bound = 0x1p-23;
+/// The same in Mode::fast: the products and sums of the float test err by 14u·t.
+inline constexpr double fast_t_bound = 0x1p-19;
+
 /// The ray for the filter.
 struct DoubleRay {
     double o[3], d[3];
     int kx, ky, kz;  ///< kz: the largest |d|
     double sx, sy;   ///< d[kx]/d[kz], d[ky]/d[kz], rounded; |s| <= 1
     double t_min, t_max;
+    double t_bound;  ///< of triangles, for candidates of a scale above 0
 
-    explicit DoubleRay(const Ray& ray);
+    explicit DoubleRay(const Ray& ray, double t_bound = exact::t_bound);
 };
 
 /// The ray for the exact stage.
@@ -140,10 +147,6 @@ class Shapes {
 /// and the test is right for the displaced triangle. What no such displacement can change it must
 /// get right; where one can, it is "inside the margin".
 inline constexpr double triangle_bound = 0x1p-21;
-/// t of a triangle that is not seen edge-on, relative. Its barycentric weights are wrong by
-/// 36u·ρ²Δ/|det| (ρ the radius of the sheared corners, Δ their spread in depth), which the
-/// criterion of test_block keeps below 4.5u·t, and the products and sums by 13.5u·t: 18u < 2^-19.
-inline constexpr double t_bound = 0x1p-19;
 /// Polygons and quadrics are tested in double on the object-space ray: roundings of at most 2^-50
 /// of the numbers involved, 16 of them, and as many times the condition of the map that inverting
 /// it costs.

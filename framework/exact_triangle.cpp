@@ -124,7 +124,7 @@ void find_candidates(const DoubleRay& ray, const Corners::Sheared (&c)[3], doubl
     const double high = z0 + std::max({0.0, g1, g2}) + 2 * e_z;
     if (!(hit.lo >= low)) hit.lo = Interval::down(low);
     if (!(hit.hi <= high)) hit.hi = Interval::up(high);
-    hit.widen(scale * t_bound);
+    hit.widen(scale * ray.t_bound);
     out.add(hit);
 }
 

@@ -24,7 +24,8 @@ enum class Mode : uint8_t {
     /// quadrics as in `robust`.
     fast,
     /// Triangles watertight: no ray passes between two that share an edge. Hit or missed rightly
-    /// outside the same margin, t right within 2^-19. Polygons and quadrics in double: hit class
+    /// outside the same margin; t, u and v of a hit in double, rounded to float once. Polygons and
+    /// quadrics in double: hit class
     /// right outside exact::double_bound, t within a few float ulp. Every structure gives the same
     /// bits.
     robust,

@@ -50,27 +50,13 @@ struct ShearedPatch {
         const D d;
         const auto sx = hn::Set(d, q.shear_x), sy = hn::Set(d, q.shear_y);
         for (size_t p = 0; p < PatchTable::parts; ++p) {
-            const size_t lane = p * PatchTable::N;
-            z.part[p] = relative(d, patch, lane, q, q.kz, frame);
-            x.part[p] = hn::Sub(relative(d, patch, lane, q, q.kx, frame), hn::Mul(sx, z.part[p]));
-            y.part[p] = hn::Sub(relative(d, patch, lane, q, q.ky, frame), hn::Mul(sy, z.part[p]));
-        }
-    }
-
-  private:
-    static HWY_INLINE PatchTable::V relative(D d, const TrianglePatch& patch, size_t lane,
-                                             const RayQuery& q, int axis,
-                                             const InstanceFrame* frame) {
-        if constexpr (!Framed) {
-            return hn::Sub(hn::Load(d, patch.v[axis] + lane), hn::Set(d, q.origin[axis]));
-        } else {
-            const float* m = frame->world_from_object_f.m[axis];
-            const auto world =
-                hn::Add(hn::Add(hn::Mul(hn::Set(d, m[0]), hn::Load(d, patch.v[0] + lane)),
-                                hn::Mul(hn::Set(d, m[1]), hn::Load(d, patch.v[1] + lane))),
-                        hn::Add(hn::Mul(hn::Set(d, m[2]), hn::Load(d, patch.v[2] + lane)),
-                                hn::Set(d, m[3])));
-            return hn::Sub(world, hn::Set(d, q.origin[axis]));
+            const auto relative = [&](int axis) HWY_ATTR {
+                return hn::Sub(world_coordinate<Framed>(d, patch.v, p * PatchTable::N, axis, frame),
+                               hn::Set(d, q.origin[axis]));
+            };
+            z.part[p] = relative(q.kz);
+            x.part[p] = hn::Sub(relative(q.kx), hn::Mul(sx, z.part[p]));
+            y.part[p] = hn::Sub(relative(q.ky), hn::Mul(sy, z.part[p]));
         }
     }
 };
@@ -80,12 +66,16 @@ template <bool Framed>
 struct PatchLanes {
     using D = PatchTable::D;
     const TrianglePatch& patch;
-    const ShearedPatch<Framed>& sheared;
     const uint32_t* ids;
     size_t lane;
     const InstanceFrame* frame;
 
-    HWY_INLINE hn::Vec<D> z(int k) const { return sheared.z.lookup(patch.corner[k] + lane); }
+    HWY_INLINE hn::Vec<D> world(int k, int axis) const {
+        PatchTable table;
+        for (size_t p = 0; p < PatchTable::parts; ++p)
+            table.part[p] = world_coordinate<Framed>(D(), patch.v, p * PatchTable::N, axis, frame);
+        return table.lookup(patch.corner[k] + lane);
+    }
     template <class M>
     HWY_INLINE M used(M mask) const {
         return hn::And(mask, hn::FirstN(D(), patch.count - lane));
@@ -109,8 +99,9 @@ HWY_INLINE bool test_patch(const TrianglePatch& patch, const uint32_t* ids, cons
             x[k] = s.x.lookup(patch.corner[k] + lane);
             y[k] = s.y.lookup(patch.corner[k] + lane);
         }
-        const PatchLanes<Framed> source{patch, s, ids, lane, ray.frame};
-        if (test_corners<Q>(D(), x, y, source, q, table)) return true;
+        const auto depth = [&](int k) HWY_ATTR { return s.z.lookup(patch.corner[k] + lane); };
+        const PatchLanes<Framed> source{patch, ids, lane, ray.frame};
+        if (test_corners<Q>(D(), x, y, depth, source, q, table)) return true;
     }
     return false;
 }

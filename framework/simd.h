@@ -35,17 +35,18 @@ struct ShearedCorners {
     V x[3], y[3], z[3];  // z in units of direction[kz], not yet of t
 };
 
-/// World-space coordinate `axis` of corner k: as stored, or mapped in the order of `apply`.
-template <bool Framed, int W, class D>
-HWY_INLINE hn::Vec<D> world_coordinate(D d, const TriangleBlock<W>& block, size_t lane, int k,
-                                       int axis, const InstanceFrame* frame) {
+/// World-space coordinate `axis` of N points: as stored, or mapped in the order of `apply`.
+/// @param v  x, y and z of S points, of which those from `lane` on
+template <bool Framed, int S, class D>
+HWY_INLINE hn::Vec<D> world_coordinate(D d, const float (&v)[3][S], size_t lane, int axis,
+                                       const InstanceFrame* frame) {
     if constexpr (!Framed) {
-        return hn::LoadU(d, block.v[k][axis] + lane);
+        return hn::LoadU(d, v[axis] + lane);
     } else {
         const float* m = frame->world_from_object_f.m[axis];
-        const auto x = hn::LoadU(d, block.v[k][0] + lane);
-        const auto y = hn::LoadU(d, block.v[k][1] + lane);
-        const auto z = hn::LoadU(d, block.v[k][2] + lane);
+        const auto x = hn::LoadU(d, v[0] + lane);
+        const auto y = hn::LoadU(d, v[1] + lane);
+        const auto z = hn::LoadU(d, v[2] + lane);
         return hn::Add(hn::Add(hn::Mul(hn::Set(d, m[0]), x), hn::Mul(hn::Set(d, m[1]), y)),
                        hn::Add(hn::Mul(hn::Set(d, m[2]), z), hn::Set(d, m[3])));
     }
@@ -59,10 +60,10 @@ HWY_INLINE ShearedCorners<D> shear(D d, const TriangleBlock<W>& block, size_t la
                oz = hn::Set(d, q.origin[q.kz]);
     const auto sx = hn::Set(d, q.shear_x), sy = hn::Set(d, q.shear_y);
     for (int k = 0; k < 3; ++k) {
-        c.z[k] = hn::Sub(world_coordinate<Framed>(d, block, lane, k, q.kz, frame), oz);
-        c.x[k] = hn::Sub(hn::Sub(world_coordinate<Framed>(d, block, lane, k, q.kx, frame), ox),
+        c.z[k] = hn::Sub(world_coordinate<Framed>(d, block.v[k], lane, q.kz, frame), oz);
+        c.x[k] = hn::Sub(hn::Sub(world_coordinate<Framed>(d, block.v[k], lane, q.kx, frame), ox),
                          hn::Mul(sx, c.z[k]));
-        c.y[k] = hn::Sub(hn::Sub(world_coordinate<Framed>(d, block, lane, k, q.ky, frame), oy),
+        c.y[k] = hn::Sub(hn::Sub(world_coordinate<Framed>(d, block.v[k], lane, q.ky, frame), oy),
                          hn::Mul(sy, c.z[k]));
     }
     return c;
@@ -108,99 +109,177 @@ HWY_NOINLINE bool test_block_exactly(const TriangleBlock<W>& block, const LocalR
     return false;
 }
 
+/// Hits of N triangles.
+template <size_t N>
+struct LaneHits {
+    alignas(64) float t[N], u[N], v[N];
+    uint32_t open;   ///< lanes that may be hit
+    uint32_t plain;  ///< of these, lanes whose t, u and v are known; others need refine_triangle
+};
+
+template <class D, class M>
+HWY_INLINE uint32_t mask_bits(D d, M mask) {
+    uint8_t bits[8] = {};
+    hn::StoreMaskBits(d, mask, bits);
+    return bits[0];
+}
+
+/// Mode::fast: t, u, v from the float edge functions, unless these overflow.
+template <class D>
+HWY_INLINE void solve_in_float(D d, const hn::Vec<D> (&edge)[3], const hn::Vec<D> (&z)[3],
+                               const RayQuery& q, LaneHits<hn::MaxLanes(D())>& hits) {
+    const auto det = hn::Add(hn::Add(edge[0], edge[1]), edge[2]);
+    const auto per_det = hn::Div(hn::Set(d, 1.0f), det);
+    const auto u = hn::Mul(edge[1], per_det), v = hn::Mul(edge[2], per_det);
+    auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(edge[0], per_det), z[0]), hn::Mul(u, z[1])),
+                     hn::Mul(v, z[2]));
+    t = hn::Min(hn::Max(t, hn::Min(hn::Min(z[0], z[1]), z[2])), hn::Max(hn::Max(z[0], z[1]), z[2]));
+    // Written so that NaN (an area of zero) is no area.
+    const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
+    const auto within = hn::And(hn::Ge(t, hn::Set(d, q.t_min)), hn::Le(t, hn::Set(d, q.t_best)));
+    hits.open &= mask_bits(d, hn::And(has_area, within));
+    // Weights of an area that overflowed are zero or NaN.
+    hits.plain = hits.open & mask_bits(d, hn::Gt(hn::Add(u, v), hn::Zero(d)));
+    hn::Store(t, d, hits.t);
+    hn::Store(u, d, hits.u);
+    hn::Store(v, d, hits.v);
+}
+
+/// Part p of N floats as doubles.
+template <class DD, class D>
+HWY_INLINE hn::Vec<DD> promote(DD dd, D, hn::Vec<D> v, [[maybe_unused]] size_t p) {
+    if constexpr (hn::MaxLanes(DD()) == hn::MaxLanes(D())) {
+        return hn::PromoteTo(dd, v);
+    } else {
+        const hn::Half<D> half;
+        return hn::PromoteTo(dd, p ? hn::UpperHalf(half, v) : hn::LowerHalf(half, v));
+    }
+}
+
+/// t, u, v of the lanes of `plain`, as refine_triangle has them inside of a triangle, in double.
+/// Lanes that pass outside in double, or have too little area for it, leave `plain`; lanes of
+/// `plain` whose t is not in the interval leave `open`.
+///
+/// How far off t may be, with u = 2^-53, `reach` the largest sheared coordinate, z the largest
+/// depth and distance = reach + |z|, all times the direction's main component where that is
+/// cheaper: a sheared coordinate errs by 3u·reach + 8u·|z| at most (its products and sums, |X| <=
+/// reach + 2|Z|), so an edge function by 4·reach·10u·distance, and with its own roundings by
+/// 44u·reach·distance. Weights are three of them over their sum, det, and what they weigh lies
+/// within the spread of depths: t errs by 132u·steep·spread to first order, steep =
+/// reach·distance/|det|; with the roundings of depths and of the sum by less than
+/// 2^8·u·steep·spread + 8u·|t|. Where that is above 2^-27·|t|, Mode::double_precision asks the
+/// oracle.
+template <Query Q, class D, class Source>
+HWY_INLINE void solve_in_double(D d, const Source& source, const RayQuery& q,
+                                LaneHits<hn::MaxLanes(D())>& hits) {
+    constexpr size_t N = hn::MaxLanes(D());
+    const hn::CappedTag<double, (N < 4 ? N : 4)> dd;  // most often one of eight is hit
+    constexpr size_t n = hn::MaxLanes(dd);
+    const hn::Rebind<float, decltype(dd)> df;
+    using V = hn::Vec<decltype(dd)>;
+    const auto set = [&](float x) HWY_ATTR { return hn::Set(dd, double(x)); };
+    const V ox = set(q.origin[q.kx]), oy = set(q.origin[q.ky]), oz = set(q.origin[q.kz]);
+    const V dx = set(q.direction[q.kx]), dy = set(q.direction[q.ky]), dz = set(q.direction[q.kz]);
+    hn::Vec<D> corner[3][3];
+    for (int k = 0; k < 3; ++k) {
+        corner[k][0] = source.world(k, q.kx);
+        corner[k][1] = source.world(k, q.ky);
+        corner[k][2] = source.world(k, q.kz);
+    }
+    for (size_t p = 0; p < N / n; ++p) {
+        const uint32_t lanes = ((1u << n) - 1) << p * n;
+        if (N != n && !(hits.plain & lanes)) continue;
+        V x[3], y[3], z[3], reach = hn::Zero(dd);
+        for (int k = 0; k < 3; ++k) {
+            z[k] = hn::Sub(promote(dd, d, corner[k][2], p), oz);
+            x[k] = hn::Sub(hn::Mul(hn::Sub(promote(dd, d, corner[k][0], p), ox), dz),
+                           hn::Mul(dx, z[k]));
+            y[k] = hn::Sub(hn::Mul(hn::Sub(promote(dd, d, corner[k][1], p), oy), dz),
+                           hn::Mul(dy, z[k]));
+            reach = hn::Max(reach, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
+        }
+        const V a = hn::Sub(hn::Mul(x[2], y[1]), hn::Mul(y[2], x[1]));
+        const V b = hn::Sub(hn::Mul(x[0], y[2]), hn::Mul(y[0], x[2]));
+        const V c = hn::Sub(hn::Mul(x[1], y[0]), hn::Mul(y[1], x[0]));
+        const V det = hn::Add(hn::Add(a, b), c);
+        const V per = hn::Div(hn::Set(dd, 1.0), hn::Mul(det, dz));
+        const V depth = hn::Add(hn::Add(hn::Mul(a, z[0]), hn::Mul(b, z[1])), hn::Mul(c, z[2]));
+        const V zero = hn::Zero(dd);
+        const auto inside = hn::Or(hn::Ge(hn::Min(hn::Min(a, b), c), zero),
+                                   hn::Le(hn::Max(hn::Max(a, b), c), zero));
+        auto known = hn::And(
+            inside, hn::Gt(hn::Abs(det), hn::Mul(hn::Mul(reach, reach), hn::Set(dd, 0x1p-31))));
+        if (HWY_UNLIKELY(q.mode == Mode::double_precision)) {
+            const V low = hn::Min(hn::Min(z[0], z[1]), z[2]),
+                    high = hn::Max(hn::Max(z[0], z[1]), z[2]);
+            const V distance = hn::Add(reach, hn::Max(hn::Abs(low), hn::Abs(high)));
+            const V error = hn::Mul(hn::Mul(reach, distance),
+                                    hn::Mul(hn::Sub(high, low), hn::Set(dd, 0x1p-18)));
+            known = hn::And(known, hn::Le(error, hn::Abs(depth)));
+        }
+        const auto t = hn::DemoteTo(df, hn::Mul(depth, per));
+        const auto within =
+            hn::And(hn::Ge(t, hn::Set(df, q.t_min)), hn::Le(t, hn::Set(df, q.t_best)));
+        hits.plain &= ~(lanes & ~(mask_bits(dd, known) << p * n));
+        hits.open &= ~(lanes & hits.plain & ~(mask_bits(df, within) << p * n));
+        hn::Store(t, df, hits.t + p * n);
+        if constexpr (Q == Query::closest) {
+            const V per_det = hn::Mul(per, dz);
+            hn::Store(hn::DemoteTo(df, hn::Mul(b, per_det)), df, hits.u + p * n);
+            hn::Store(hn::DemoteTo(df, hn::Mul(c, per_det)), df, hits.v + p * n);
+        }
+    }
+}
+
 /// Tests N triangles by their sheared corners (Woop, Benthin, Wald 2013).
 ///
 /// An edge function is the difference of two rounded products of rounded, shared coordinates.
 /// Rounding is monotone, so a nonzero sign is right; a zero is decided in double, where the
-/// products are exact. Neighbours thus agree on every edge, and no ray passes between them. Lanes
-/// whose t might be off by more than 2^-19 are recomputed in double. In mode `fast` nothing is
-/// recomputed, and in `double` every hit is.
+/// products are exact. Neighbours thus agree on every edge, and no ray passes between them. What
+/// remains (one lane in most leaves that come this far) is solved in double: that costs less than
+/// to find out whether float would do.
 ///
-/// How far off t may be, with u = 2^-24, `reach` the largest sheared coordinate, zt the largest
-/// depth in units of t, and distance = reach + zt: since |v_z - o_z| <= 2·zt, a sheared coordinate
-/// errs by 2u·reach + 10u·zt at most (see LocalRay), so an edge function by 4·reach·10u·distance,
-/// and with its own roundings by 44u·reach·distance. Weights are three of them over their sum, det,
-/// and what they weigh lies within the spread of depths: t errs by k·(z_high - z_low) to first
-/// order, k = 132u·`steep`, steep = reach·distance/|det|, and by k/(1 - k) of it in all, which is
-/// at most 152u·steep where steep < 2^14. The depths' own roundings and those of the sum are
-/// 8u·(|t| + z_high - z_low), and 1 <= 4·steep, as |det| <= 4·reach². If
-/// in double the ray turns out to pass outside, the hit is the nearest point of the edges, which is
-/// 20u·spread away in depth. In sum 216u·spread + 8u·|t|, spread = steep·(z_high - z_low); and less
-/// than 32u·|t| where 8·spread < |t|.
-///
-/// @param source  z(k): the third coordinate of corner k; used(mask): the lanes that hold a
-///                triangle, of those in mask; refine(i, q, t, u, v): see refine_triangle; id(i)
-template <Query Q, class D, class Source>
+/// @param depth   of corner k, its third sheared coordinate. Not part of `source`, which is handed
+///                on: what it refers to has to be in memory
+/// @param source  world(k, axis): a coordinate of corner k in world space; used(mask): the lanes
+///                that hold a triangle, of those in mask; refine(i, q, t, u, v): see
+///                refine_triangle; id(i)
+template <Query Q, class D, class Depth, class Source>
 HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y)[3],
-                             const Source& source, RayQuery& q, const IdTable& ids) {
-    constexpr size_t N = hn::MaxLanes(D());
+                             const Depth& depth, const Source& source, RayQuery& q,
+                             const IdTable& ids) {
     const auto zero = hn::Zero(d);
-    const auto a = hn::Sub(hn::Mul(x[2], y[1]), hn::Mul(y[2], x[1]));
-    const auto b = hn::Sub(hn::Mul(x[0], y[2]), hn::Mul(y[0], x[2]));
-    const auto e = hn::Sub(hn::Mul(x[1], y[0]), hn::Mul(y[1], x[0]));
-    const auto low = hn::Min(hn::Min(a, b), e), high = hn::Max(hn::Max(a, b), e);
+    const hn::Vec<D> edge[3] = {hn::Sub(hn::Mul(x[2], y[1]), hn::Mul(y[2], x[1])),
+                                hn::Sub(hn::Mul(x[0], y[2]), hn::Mul(y[0], x[2])),
+                                hn::Sub(hn::Mul(x[1], y[0]), hn::Mul(y[1], x[0]))};
+    const auto low = hn::Min(hn::Min(edge[0], edge[1]), edge[2]),
+               high = hn::Max(hn::Max(edge[0], edge[1]), edge[2]);
     // Both comparisons are false for a lane of NaN.
     auto hit = source.used(hn::Or(hn::Ge(low, zero), hn::Le(high, zero)));
     if (HWY_LIKELY(hn::AllFalse(d, hit))) return false;
 
-    const auto det = hn::Add(hn::Add(a, b), e);
-    const auto rdet = hn::Div(hn::Set(d, 1.0f), det);
     const auto sz = hn::Set(d, q.shear_z);
-    const auto za = hn::Mul(source.z(0), sz), zb = hn::Mul(source.z(1), sz),
-               zc = hn::Mul(source.z(2), sz);
-    const auto z_low = hn::Min(hn::Min(za, zb), zc), z_high = hn::Max(hn::Max(za, zb), zc);
-    hit = hn::And(
-        hit, hn::And(hn::Le(z_low, hn::Set(d, q.t_cull)), hn::Ge(z_high, hn::Set(d, q.t_low))));
+    const hn::Vec<D> z[3] = {hn::Mul(depth(0), sz), hn::Mul(depth(1), sz), hn::Mul(depth(2), sz)};
+    const auto near = hn::Min(hn::Min(z[0], z[1]), z[2]), far = hn::Max(hn::Max(z[0], z[1]), z[2]);
+    hit =
+        hn::And(hit, hn::And(hn::Le(near, hn::Set(d, q.t_cull)), hn::Ge(far, hn::Set(d, q.t_low))));
     if (hn::AllFalse(d, hit)) return false;
-    const auto wb = hn::Mul(b, rdet), wc = hn::Mul(e, rdet);
-    auto t = hn::Add(hn::Add(hn::Mul(hn::Mul(a, rdet), za), hn::Mul(wb, zb)), hn::Mul(wc, zc));
-    t = hn::Min(hn::Max(t, z_low), z_high);
 
-    // Written so that NaN (an area of zero) is no area.
-    const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
-    auto sure = hit;
+    LaneHits<hn::MaxLanes(D())> hits;
+    hits.open = mask_bits(d, hit);
     if (HWY_UNLIKELY(q.mode == Mode::fast)) {
-        const auto inside =
-            hn::And(hn::Ge(t, hn::Set(d, q.t_min)), hn::Le(t, hn::Set(d, q.t_best)));
-        hit = hn::And(hit, hn::And(has_area, inside));
+        solve_in_float(d, edge, z, q, hits);
     } else {
-        const auto reach = hn::Max(
-            hn::Max(hn::Max(hn::Abs(x[0]), hn::Abs(y[0])), hn::Max(hn::Abs(x[1]), hn::Abs(y[1]))),
-            hn::Max(hn::Abs(x[2]), hn::Abs(y[2])));
-        const auto distance = hn::Add(reach, hn::Max(hn::Abs(z_low), hn::Abs(z_high)));
-        const auto steep = hn::Mul(hn::Mul(reach, hn::Abs(rdet)), distance);
-        const auto spread = hn::Mul(steep, hn::Sub(z_high, z_low));
-        sure = hn::And(hn::And(hn::Lt(hn::Mul(spread, hn::Set(d, 8.0f)), hn::Abs(t)), has_area),
-                       hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
-        // Where even the largest error, with the roundings of t itself, leaves t outside the
-        // interval, nothing needs to be sure.
-        const auto error =
-            hn::MulAdd(spread, hn::Set(d, 0x1.bp-17f), hn::Mul(hn::Abs(t), hn::Set(d, 0x1p-20f)));
-        const auto outside = hn::Or(hn::Lt(hn::Add(t, error), hn::Set(d, q.t_min)),
-                                    hn::Gt(hn::Sub(t, error), hn::Set(d, q.t_best)));
-        hit = hn::AndNot(hn::And(outside, hn::Lt(steep, hn::Set(d, 0x1p14f))), hit);
+        hits.plain = hits.open & mask_bits(d, hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
+        if (HWY_LIKELY(hits.plain)) solve_in_double<Q>(d, source, q, hits);
     }
-    if (hn::AllFalse(d, hit)) return false;
-
-    alignas(64) float ts[N], us[N], vs[N];
-    hn::Store(t, d, ts);
-    hn::Store(wb, d, us);
-    hn::Store(wc, d, vs);
-    uint8_t hit_bits[8] = {}, sure_bits[8] = {};
-    hn::StoreMaskBits(d, hit, hit_bits);
-    hn::StoreMaskBits(d, sure, sure_bits);
-    uint32_t open = hit_bits[0], exact = sure_bits[0];
-    if (HWY_UNLIKELY(q.mode == Mode::double_precision)) exact = 0;
-    for (; open; open &= open - 1) {
+    for (uint32_t open = hits.open; open; open &= open - 1) {
         const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(open));
-        // Weights of an area that overflowed are zero or NaN.
-        const bool weighted = us[i] + vs[i] > 0;
-        if (HWY_UNLIKELY(!(exact >> i & 1) || !weighted) &&
-            !source.refine(i, q, ts[i], us[i], vs[i]))
-            continue;
-        if (!(ts[i] >= q.t_min && ts[i] <= q.t_best)) continue;
+        float &t = hits.t[i], &u = hits.u[i], &v = hits.v[i];
+        if (HWY_UNLIKELY(!(hits.plain >> i & 1)) && !source.refine(i, q, t, u, v)) continue;
+        if (!(t >= q.t_min && t <= q.t_best)) continue;
         if constexpr (Q == Query::any) return true;
-        q.record(ts[i], us[i], vs[i], ids, source.id(i));
+        q.record(t, u, v, ids, source.id(i));
     }
     return false;
 }
@@ -211,9 +290,10 @@ struct BlockLanes {
     const TriangleBlock<W>& block;
     size_t lane;
     const InstanceFrame* frame;
-    const ShearedCorners<D>& corners;
 
-    HWY_INLINE hn::Vec<D> z(int k) const { return corners.z[k]; }
+    HWY_INLINE hn::Vec<D> world(int k, int axis) const {
+        return world_coordinate<Framed>(D(), block.v[k], lane, axis, frame);
+    }
     template <class M>
     HWY_INLINE M used(M mask) const {
         return mask;
@@ -231,8 +311,9 @@ HWY_INLINE bool test_block(const TriangleBlock<W>& block, const LocalRay& ray, R
     const Lanes<W> d;
     for (size_t lane = 0; lane < W; lane += hn::MaxLanes(Lanes<W>())) {
         const auto c = shear<Framed>(d, block, lane, q, ray.frame);
-        const BlockLanes<Framed, W, Lanes<W>> source{block, lane, ray.frame, c};
-        if (test_corners<Q>(d, c.x, c.y, source, q, ids)) return true;
+        const auto depth = [&](int k) HWY_ATTR { return c.z[k]; };
+        const BlockLanes<Framed, W, Lanes<W>> source{block, lane, ray.frame};
+        if (test_corners<Q>(d, c.x, c.y, depth, source, q, ids)) return true;
     }
     return false;
 }

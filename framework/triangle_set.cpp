@@ -149,23 +149,15 @@ void nearest_on_edges(const double (&x)[3], const double (&y)[3], double (&weigh
 }  // namespace
 
 bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float& u, float& w) {
-    const int k[3] = {q.kx, q.ky, q.kz};
     // The sheared corners, rounded as in the SIMD test: shared by all triangles at an edge, so that
-    // exact signs on them partition the plane without gaps.
+    // exact signs on them partition the plane without gaps. Products of two floats are exact in
+    // double, and a difference keeps its sign.
     float px[3], py[3];
-    double x[3], y[3], z[3];
-    const double per_z = 1.0 / q.direction[k[2]];
-    const double sx = q.direction[k[0]] * per_z, sy = q.direction[k[1]] * per_z;
     for (int i = 0; i < 3; ++i) {
-        const float pz = v[i][k[2]] - q.origin[k[2]];
-        px[i] = (v[i][k[0]] - q.origin[k[0]]) - q.shear_x * pz;
-        py[i] = (v[i][k[1]] - q.origin[k[1]]) - q.shear_y * pz;
-        const double zi = double(v[i][k[2]]) - q.origin[k[2]];
-        x[i] = (double(v[i][k[0]]) - q.origin[k[0]]) - sx * zi;
-        y[i] = (double(v[i][k[1]]) - q.origin[k[1]]) - sy * zi;
-        z[i] = zi * per_z;
+        const float pz = v[i][q.kz] - q.origin[q.kz];
+        px[i] = (v[i][q.kx] - q.origin[q.kx]) - q.shear_x * pz;
+        py[i] = (v[i][q.ky] - q.origin[q.ky]) - q.shear_y * pz;
     }
-    // Products of two floats are exact in double, and a difference keeps its sign.
     const double e[3] = {double(px[2]) * py[1] - double(py[2]) * px[1],
                          double(px[0]) * py[2] - double(py[0]) * px[2],
                          double(px[1]) * py[0] - double(py[1]) * px[0]};
@@ -173,22 +165,31 @@ bool refine_triangle(const float (&v)[3][3], const RayQuery& q, float& t, float&
     const bool positive = e[0] > 0 || e[1] > 0 || e[2] > 0;
     if (negative == positive) return false;  // outside, edge-on (all zero), or NaN
 
+    // Again in double, times the direction's main component, so that nothing is divided.
+    const double dx = q.direction[q.kx], dy = q.direction[q.ky], dz = q.direction[q.kz];
+    double x[3], y[3], z[3];
+    for (int i = 0; i < 3; ++i) {
+        z[i] = double(v[i][q.kz]) - q.origin[q.kz];
+        x[i] = (double(v[i][q.kx]) - q.origin[q.kx]) * dz - dx * z[i];
+        y[i] = (double(v[i][q.ky]) - q.origin[q.ky]) * dz - dy * z[i];
+    }
     const double b[3] = {x[2] * y[1] - y[2] * x[1], x[0] * y[2] - y[0] * x[2],
                          x[1] * y[0] - y[1] * x[0]};
     const double det = b[0] + b[1] + b[2];
+    const double reach = std::max({std::abs(x[0]), std::abs(x[1]), std::abs(x[2]), std::abs(y[0]),
+                                   std::abs(y[1]), std::abs(y[2])});
     const bool inside =
         positive ? b[0] >= 0 && b[1] >= 0 && b[2] >= 0 : b[0] <= 0 && b[1] <= 0 && b[2] <= 0;
-    const double per_det = 1.0 / det;
+    const double per_det = 1.0 / det, per_z = 1.0 / dz;
     double weights[3] = {b[0] * per_det, b[1] * per_det, b[2] * per_det};
     // Where double sees the ray pass outside, or too little area for weights, the boundary is
     // within the rounding of the shear: its nearest point is the hit. (The plane would be met
     // anywhere if it is seen edge-on; a structure may rely on a hit being a point of the triangle.)
-    const double reach = std::max({std::abs(x[0]), std::abs(x[1]), std::abs(x[2]), std::abs(y[0]),
-                                   std::abs(y[1]), std::abs(y[2])});
     if (!inside || !(std::abs(det) > 0x1p-31 * reach * reach)) nearest_on_edges(x, y, weights);
-    const double lo = std::min({z[0], z[1], z[2]}), hi = std::max({z[0], z[1], z[2]});
-    const double exact_t = weights[0] * z[0] + weights[1] * z[1] + weights[2] * z[2];
-    t = float(std::clamp(exact_t, lo, hi));
+    const double at = (weights[0] * z[0] + weights[1] * z[1] + weights[2] * z[2]) * per_z;
+    const double first = std::min({z[0], z[1], z[2]}) * per_z,
+                 last = std::max({z[0], z[1], z[2]}) * per_z;
+    t = float(std::clamp(at, std::min(first, last), std::max(first, last)));
     u = float(std::clamp(weights[1], 0.0, 1.0));
     w = float(std::clamp(weights[2], 0.0, 1.0));
     return true;
