@@ -91,7 +91,7 @@ struct SphereHierarchyTraversal {
                     C& counters) {
         float t_near, t_far;
         if (h.nodes.empty() || !meets_box(h.box, ray, q, t_near, t_far)) return false;
-        const SphereRay along(h, ray);
+        const SphereRay along(h, ray, q);
         if (!along.meets_root) return false;
         if constexpr (SphereHierarchy<Set>::has_lod) {
             if (HWY_UNLIKELY(h.lod > 0)) {

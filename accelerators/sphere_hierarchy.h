@@ -104,7 +104,8 @@ struct SphereHierarchy {
 /// digits are lost to a far origin (Haines, Günther, Akenine-Möller 2019). It is as thick as
 /// anything a leaf test may accept:
 ///
-/// (a) A leaf test may accept a shape at up to LocalRay::pad and 12u·(|o| + magnitude) per axis from
+/// (a) A leaf test may accept a shape at up to LocalRay::pad and 12u·(|o| + magnitude) per axis
+/// from
 ///     the exact ray, see LocalRay; `slack` has the length of that vector.
 /// (b) The test of a sphere works in float. Centres and the origin lie within the root's sphere, so
 ///     that with |v| <= 2 the vector from the ray to a centre is off by at most 19u, comparing
@@ -122,11 +123,9 @@ struct SphereRay {
     bool meets_root;  ///< false: nothing can be hit
 
     template <class Set>
-    SphereRay(const SphereHierarchy<Set>& h, const LocalRay& ray) {
-        const Vec3d o =
-            ray.frame ? ray.frame->origin : Vec3d(ray.origin[0], ray.origin[1], ray.origin[2]);
-        const Vec3d way = ray.frame ? ray.frame->direction
-                                    : Vec3d(ray.direction[0], ray.direction[1], ray.direction[2]);
+    SphereRay(const SphereHierarchy<Set>& h, const LocalRay& ray, const RayQuery& q) {
+        const ObjectRay along(ray, q);
+        const Vec3d &o = along.origin, &way = along.direction;
         const Vec3d f = o - h.center;
         const double dd = way.squaredNorm(), length = std::sqrt(dd);
         t0 = -f.dot(way) / dd;

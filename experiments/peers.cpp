@@ -5,34 +5,55 @@
 #ifdef CROFTON_EMBREE
 #include CROFTON_EMBREE
 
+#include <algorithm>
+#include <atomic>
+
 #include "framework/error.h"
+#include "framework/instance.h"
+#include "framework/object_set.h"
 #include "framework/triangle_set.h"
 
 namespace crofton {
 namespace {
 
-/// Embree's structure over one set of triangles. It answers with its own t, u, v and whichever of
-/// several triangles at one t it meets first; the mode of a query means nothing to it.
+/// What Embree has allocated, in bytes.
+std::atomic<int64_t> embree_bytes = 0;
+
+/// One device for all structures: instances of one scene in another ask for that.
+RTCDevice device() {
+    static const RTCDevice device = [] {
+        const RTCDevice d = rtcNewDevice("threads=0");
+        const auto count = [](void*, ssize_t bytes, bool) {
+            embree_bytes += bytes;
+            return true;
+        };
+        rtcSetDeviceMemoryMonitorFunction(d, count, nullptr);
+        return d;
+    }();
+    return device;
+}
+
+struct EmbreeOptions {
+    RTCBuildQuality quality = RTC_BUILD_QUALITY_HIGH;
+    RTCSceneFlags flags = RTC_SCENE_FLAG_NONE;
+};
+
+/// Embree's structure over triangles, or over other structures of Embree and instances of them. It
+/// answers with its own t, u, v and whichever of several triangles at one t it meets first; the
+/// mode of a query means nothing to it.
 class EmbreeObject final : public Primitive {
   public:
-    EmbreeObject(std::shared_ptr<const TriangleSet> set, bool robust) : ids_(set->ids()) {
-        device_ = rtcNewDevice("threads=0");
-        scene_ = rtcNewScene(device_);
-        if (robust) rtcSetSceneFlags(scene_, RTC_SCENE_FLAG_ROBUST);
-        rtcSetSceneBuildQuality(scene_, RTC_BUILD_QUALITY_HIGH);
-        add_triangles(*set);
-        rtcCommitScene(scene_);
-        RTCBounds b;
-        rtcGetSceneBounds(scene_, &b);
-        Bounds3 bounds;
-        for (uint32_t i = 0; i < set->size(); ++i)
-            if (set->active(i)) bounds.extend(set->bounds(i));
-        set_bounds(bounds);
+    EmbreeObject(std::shared_ptr<const TriangleSet> set, const EmbreeOptions& options)
+        : triangles_(std::move(set)) {
+        build(*triangles_, options, [&] { add_triangles(); });
     }
-    ~EmbreeObject() override {
-        rtcReleaseScene(scene_);
-        rtcReleaseDevice(device_);
+    EmbreeObject(std::shared_ptr<const ObjectSet> set, const EmbreeOptions& options)
+        : objects_(std::move(set)) {
+        build(*objects_, options, [&] {
+            for (uint32_t i = 0; i < objects_->size(); ++i) add_instance(objects_->object(i));
+        });
     }
+    ~EmbreeObject() override { rtcReleaseScene(scene_); }
 
     void closest_local(const LocalRay& ray, RayQuery& q) const override {
         RTCRayHit r;
@@ -45,8 +66,15 @@ class EmbreeObject final : public Primitive {
         rtcInitIntersectContext(&context);
         rtcIntersect1(scene_, &context, &r);
 #endif
-        if (r.hit.geomID != RTC_INVALID_GEOMETRY_ID)
-            q.record(r.ray.tfar, r.hit.u, r.hit.v, ids_, r.hit.primID);
+        if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return;
+        const IdTable* ids = triangles_ ? &triangles_->ids() : nullptr;
+        const uint32_t outer = q.instance;
+        if (objects_) {
+            ids = inside_[r.hit.instID[0]];
+            q.instance += objects_->entry(r.hit.instID[0]).instance;
+        }
+        q.record(r.ray.tfar, r.hit.u, r.hit.v, *ids, r.hit.primID);
+        q.instance = outer;
     }
     bool any_local(const LocalRay& ray, RayQuery& q) const override {
         RTCRay r = ray_of(ray, q);
@@ -66,31 +94,68 @@ class EmbreeObject final : public Primitive {
         return any_local(ray, q);
     }
     double expected_cost() const override { return 0; }
-    StructureStatistics statistics() const override { return {}; }
+    StructureStatistics statistics() const override {
+        StructureStatistics s;
+        s.bytes = bytes_;
+        return s;
+    }
     std::string type_name() const override { return "embree"; }
     void walk(const BoxVisitor& visit) const override { visit(bounds(), 0, true, 0); }
-    void children(const std::function<void(const Primitive&)>&) const override {}
+    void children(const std::function<void(const Primitive&)>& visit) const override {
+        for (uint32_t i = 0; objects_ && i < objects_->size(); ++i) visit(objects_->object(i));
+    }
     void archive(StructureWriter&) const override {
         throw InputError("embree: a peer's structure cannot be saved");
     }
 
   private:
-    void add_triangles(const TriangleSet& set) {
-        RTCGeometry geometry = rtcNewGeometry(device_, RTC_GEOMETRY_TYPE_TRIANGLE);
-        const size_t n = set.size();
-        auto* corners = static_cast<float*>(rtcSetNewGeometryBuffer(
-            geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, 3 * n));
-        auto* indices = static_cast<uint32_t*>(
-            rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, n));
-        for (uint32_t i = 0; i < n; ++i)
-            for (uint32_t k = 0; k < 3; ++k) {
-                indices[3 * i + k] = 3 * i + k;
-                const Vec3f& v = set.vertex(i, int(k));
-                for (uint32_t a = 0; a < 3; ++a) corners[9 * i + 3 * k + a] = v[int(a)];
-            }
+    template <class Set, class Add>
+    void build(const Set& set, const EmbreeOptions& options, const Add& add) {
+        const int64_t before = embree_bytes;
+        scene_ = rtcNewScene(device());
+        rtcSetSceneFlags(scene_, options.flags);
+        rtcSetSceneBuildQuality(scene_, options.quality);
+        add();
+        rtcCommitScene(scene_);
+        bytes_ = uint64_t(std::max<int64_t>(0, embree_bytes - before));
+        Bounds3 bounds;
+        for (uint32_t i = 0; i < set.size(); ++i)
+            if (set.active(i)) bounds.extend(set.bounds(i));
+        set_bounds(bounds);
+    }
+    void attach(RTCGeometry geometry) {
         rtcCommitGeometry(geometry);
         rtcAttachGeometry(scene_, geometry);
         rtcReleaseGeometry(geometry);
+    }
+    /// Vertices and indices stay where they are.
+    void add_triangles() {
+        const TriangleSet& set = *triangles_;
+        RTCGeometry geometry = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);
+        size_t vertices = 0;
+        for (uint32_t i = 0; i < set.size(); ++i)
+            for (const uint32_t corner : set.triangles()[i])
+                vertices = std::max<size_t>(vertices, corner + 1);
+        rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
+                                   set.coordinates(), 0, sizeof(Vec3f), vertices);
+        rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
+                                   set.triangles(), 0, sizeof(TriangleSet::Indices), set.size());
+        attach(geometry);
+    }
+    void add_instance(const Primitive& object) {
+        const auto* instance = dynamic_cast<const Instance*>(&object);
+        const auto* inside =
+            dynamic_cast<const EmbreeObject*>(instance ? &instance->object() : &object);
+        if (!inside || !inside->triangles_)
+            throw InputError(
+                "embree: over objects it takes its own structures over triangles, placed by one "
+                "map at most");
+        RTCGeometry geometry = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_INSTANCE);
+        rtcSetGeometryInstancedScene(geometry, inside->scene_);
+        const FloatTransform map = rounded(instance ? instance->parent_from_object() : Transform{});
+        rtcSetGeometryTransform(geometry, 0, RTC_FORMAT_FLOAT3X4_ROW_MAJOR, map.m);
+        attach(geometry);
+        inside_.push_back(&inside->triangles_->ids());
     }
     static RTCRay ray_of(const LocalRay& ray, const RayQuery& q) {
         RTCRay r{};
@@ -102,19 +167,32 @@ class EmbreeObject final : public Primitive {
         return r;
     }
 
-    RTCDevice device_;
-    RTCScene scene_;
-    IdTable ids_;
+    std::shared_ptr<const TriangleSet> triangles_;  ///< or
+    std::shared_ptr<const ObjectSet> objects_;
+    std::vector<const IdTable*> inside_;  ///< of each object
+    RTCScene scene_ = nullptr;
+    uint64_t bytes_ = 0;
 };
 
 std::unique_ptr<Primitive> build_embree(const PrimitiveSet& any, const ParameterValues& values) {
-    const auto* set = std::get_if<std::shared_ptr<const TriangleSet>>(&any);
-    if (!set)
-        throw InputError(
-            "embree: only sets of triangles; give other shapes and the top an accelerator");
-    const auto robust = values.find("robust");
-    return std::make_unique<EmbreeObject>(*set,
-                                          robust != values.end() && std::get<bool>(robust->second));
+    const auto is_set = [&](const char* name) {
+        const auto at = values.find(name);
+        return at != values.end() && std::get<bool>(at->second);
+    };
+    EmbreeOptions options;
+    if (const auto at = values.find("quality"); at != values.end()) {
+        const std::string& quality = std::get<std::string>(at->second);
+        options.quality = quality == "low"      ? RTC_BUILD_QUALITY_LOW
+                          : quality == "medium" ? RTC_BUILD_QUALITY_MEDIUM
+                                                : RTC_BUILD_QUALITY_HIGH;
+    }
+    if (is_set("robust")) options.flags = RTCSceneFlags(options.flags | RTC_SCENE_FLAG_ROBUST);
+    if (is_set("compact")) options.flags = RTCSceneFlags(options.flags | RTC_SCENE_FLAG_COMPACT);
+    if (const auto* set = std::get_if<std::shared_ptr<const TriangleSet>>(&any))
+        return std::make_unique<EmbreeObject>(*set, options);
+    if (const auto* set = std::get_if<std::shared_ptr<const ObjectSet>>(&any))
+        return std::make_unique<EmbreeObject>(*set, options);
+    throw InputError("embree: only triangles, and objects made of them");
 }
 
 }  // namespace
@@ -128,11 +206,14 @@ void register_peers() {
     AcceleratorInfo info;
     info.name = "embree";
     info.summary =
-        "Embree's own structure over triangles, of high build quality; a peer to compare with";
+        "Embree's own structure over triangles or instances of them; a peer to compare with";
     info.source =
         "Wald, Woop, Benthin, Johnson, Ernst 2014, Embree: A Kernel Framework for Efficient CPU "
         "Ray Tracing";
-    info.parameters = {{"robust", false, 0, 0, {}, "RTC_SCENE_FLAG_ROBUST"}};
+    info.parameters = {
+        {"quality", std::string("high"), 0, 0, {"low", "medium", "high"}, "RTC_BUILD_QUALITY"},
+        {"robust", false, 0, 0, {}, "RTC_SCENE_FLAG_ROBUST"},
+        {"compact", false, 0, 0, {}, "RTC_SCENE_FLAG_COMPACT"}};
 #ifdef CROFTON_EMBREE
     info.build = build_embree;
 #endif

@@ -1,6 +1,6 @@
 #include "framework/instance.h"
 
-#include <cassert>
+#include <hwy/base.h>
 
 #include "framework/archive.h"
 #include "framework/cost.h"
@@ -9,75 +9,47 @@ namespace crofton {
 
 Instance::Instance(std::shared_ptr<const Primitive> object, const Transform& parent_from_object)
     : object_(std::move(object)),
-      parent_from_object_(parent_from_object),
-      object_from_parent_(inverse(parent_from_object).value()),
-      parent_from_object_f_(rounded(parent_from_object)) {
-    set_bounds(transformed(parent_from_object_f_, object_->bounds()));
+      frame_(parent_from_object, inverse(parent_from_object).value(), object_->magnitudes()) {
+    set_bounds(transformed(frame_.world_from_object_f, object_->bounds()));
 }
 
 bool Instance::is_valid(const Transform& parent_from_object) {
     return inverse(parent_from_object).has_value();
 }
 
-bool Instance::enter(const LocalRay& outer, const RayQuery& query, InstanceFrame& frame,
-                     LocalRay& inner) const {
-    if (outer.frame) {
-        frame.world_from_object = outer.frame->world_from_object * parent_from_object_;
-        frame.object_from_world = object_from_parent_ * outer.frame->object_from_world;
-        frame.world_from_object_f = rounded(frame.world_from_object);
-    } else {
-        frame.world_from_object = parent_from_object_;
-        frame.object_from_world = object_from_parent_;
-        frame.world_from_object_f = parent_from_object_f_;
-    }
-    const Vec3d o(query.origin[0], query.origin[1], query.origin[2]);
-    const Vec3d d(query.direction[0], query.direction[1], query.direction[2]);
-    frame.origin = frame.object_from_world.point(o);
-    frame.direction = frame.object_from_world.vector(d);
-
-    // Thickness: the leaf test sees fl(M·v) - o in the world, wrong by at most
-    // 4u·(|M|·|v| + |m| + |o|) per axis and by the test's own 8u of the distance; |M⁻¹| brings that
-    // to object space. 32u covers both, and the rounding of origin and direction to float.
-    const Vec3d magnitude = object_->magnitudes().cast<double>();
-    const Vec3d reach = frame.world_from_object.linear.cwiseAbs() * magnitude +
-                        frame.world_from_object.translation.cwiseAbs() + o.cwiseAbs();
-    const Vec3d pad = 0x1p-19 * (frame.object_from_world.linear.cwiseAbs() * reach);
-    float largest = 0;
-    inner.origin[3] = inner.pad[3] = 0;
-    inner.direction[3] = 1;
-    for (int a = 0; a < 3; ++a) {
-        inner.origin[a] = float(frame.origin[a]);
-        inner.direction[a] = float(frame.direction[a]);
-        inner.pad[a] = float(pad[a]);
-        largest = std::max(largest, float(magnitude[a]));
-    }
-    inner.frame = &frame;
-    finish(inner, query, largest);
-    return frame.direction.allFinite() && !frame.direction.isZero(0);
+template <class Trace>
+bool Instance::inside(const LocalRay& outer, const RayQuery& query, const Trace& trace) const {
+    LocalRay inner;
+    if (HWY_LIKELY(!outer.frame)) return enter(frame_, query, inner) && trace(inner);
+    const InstanceFrame frame(outer.frame->world_from_object * frame_.world_from_object,
+                              frame_.object_from_world * outer.frame->object_from_world,
+                              object_->magnitudes());
+    return enter(frame, query, inner) && trace(inner);
 }
 
 void Instance::closest_local(const LocalRay& ray, RayQuery& query) const {
-    InstanceFrame frame;
-    LocalRay inner;
-    if (enter(ray, query, frame, inner)) object_->closest_local(inner, query);
+    inside(ray, query, [&](const LocalRay& inner) {
+        object_->closest_local(inner, query);
+        return true;
+    });
 }
 
 bool Instance::any_local(const LocalRay& ray, RayQuery& query) const {
-    InstanceFrame frame;
-    LocalRay inner;
-    return enter(ray, query, frame, inner) && object_->any_local(inner, query);
+    return inside(ray, query,
+                  [&](const LocalRay& inner) { return object_->any_local(inner, query); });
 }
 
 void Instance::closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const {
-    InstanceFrame frame;
-    LocalRay inner;
-    if (enter(ray, query, frame, inner)) object_->closest_local(inner, query, counters);
+    inside(ray, query, [&](const LocalRay& inner) {
+        object_->closest_local(inner, query, counters);
+        return true;
+    });
 }
 
 bool Instance::any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const {
-    InstanceFrame frame;
-    LocalRay inner;
-    return enter(ray, query, frame, inner) && object_->any_local(inner, query, counters);
+    return inside(ray, query, [&](const LocalRay& inner) {
+        return object_->any_local(inner, query, counters);
+    });
 }
 
 double Instance::expected_cost() const {
@@ -97,8 +69,8 @@ std::vector<PlacedPrimitive> Instance::open(const std::shared_ptr<const Primitiv
     // Instances are not merged with those inside: products of maps would be rounded differently.
     std::vector<PlacedPrimitive> parts;
     for (const PlacedPrimitive& part : cache.parts(object_))
-        parts.push_back(
-            {std::make_shared<const Instance>(part.primitive, parent_from_object_), part.instance});
+        parts.push_back({std::make_shared<const Instance>(part.primitive, parent_from_object()),
+                         part.instance});
     return parts;
 }
 
@@ -108,7 +80,7 @@ void Instance::children(const std::function<void(const Primitive&)>& visit) cons
 
 void Instance::archive(StructureWriter& out) const {
     out.object(*object_);
-    out(parent_from_object_);
+    out(parent_from_object());
 }
 
 std::shared_ptr<const Primitive> Instance::load(StructureReader& in) {

@@ -22,7 +22,7 @@ class Instance final : public Primitive {
     static bool is_valid(const Transform& parent_from_object);
 
     const Primitive& object() const { return *object_; }
-    const Transform& parent_from_object() const { return parent_from_object_; }
+    const Transform& parent_from_object() const { return frame_.world_from_object; }
 
     void closest_local(const LocalRay& ray, RayQuery& query) const override;
     bool any_local(const LocalRay& ray, RayQuery& query) const override;
@@ -39,13 +39,12 @@ class Instance final : public Primitive {
                                       PartCache& cache) const override;
 
   private:
-    bool enter(const LocalRay& outer, const RayQuery& query, InstanceFrame& frame,
-               LocalRay& inner) const;
+    /// trace(inner), unless the ray has no image in the object's space.
+    template <class Trace>
+    bool inside(const LocalRay& outer, const RayQuery& query, const Trace& trace) const;
 
     std::shared_ptr<const Primitive> object_;
-    Transform parent_from_object_;
-    Transform object_from_parent_;
-    FloatTransform parent_from_object_f_;
+    InstanceFrame frame_;  ///< where the parent is the world
 };
 
 }  // namespace crofton

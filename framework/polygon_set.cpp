@@ -57,10 +57,8 @@ uint64_t PolygonSet::bytes() const {
 }
 
 bool PolygonSet::intersect(uint32_t i, const LocalRay& ray, const RayQuery& query, float& t) const {
-    const Vec3d o =
-        ray.frame ? ray.frame->origin : Vec3d(ray.origin[0], ray.origin[1], ray.origin[2]);
-    const Vec3d d = ray.frame ? ray.frame->direction
-                              : Vec3d(ray.direction[0], ray.direction[1], ray.direction[2]);
+    const ObjectRay along(ray, query);
+    const Vec3d &o = along.origin, &d = along.direction;
     const Vec3d& n = planes_[i].normal;
     const double dn = d.dot(n);
     if (dn == 0) return false;

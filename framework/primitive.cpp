@@ -27,15 +27,12 @@ Hit result(const RayQuery& query, float scale) {
 /// world too. Under the identity nothing is rounded.
 struct ExactStart {
     exact::NearestHit nearest;
-    InstanceFrame world;
 
     ExactStart(const Ray& ray, float scale, LocalRay& local, RayQuery& query)
         : nearest(ray, scale) {
         query.mode = Mode::exact;
         query.exact = &nearest;
-        world.world_from_object_f = rounded(world.world_from_object);
-        world.origin = Vec3d(query.origin[0], query.origin[1], query.origin[2]);
-        world.direction = Vec3d(query.direction[0], query.direction[1], query.direction[2]);
+        static const InstanceFrame world({}, {}, Vec3f::Zero());
         local.frame = &world;
     }
 };

@@ -8,16 +8,6 @@
 namespace crofton {
 namespace {
 
-struct DoubleRay {
-    Vec3d o, d;
-};
-
-DoubleRay double_ray(const LocalRay& ray) {
-    if (ray.frame) return {ray.frame->origin, ray.frame->direction};
-    return {{ray.origin[0], ray.origin[1], ray.origin[2]},
-            {ray.direction[0], ray.direction[1], ray.direction[2]}};
-}
-
 bool in_range(double t, const RayQuery& query, float& result) {
     result = float(t);
     return result >= query.t_min && result <= query.t_best;
@@ -39,22 +29,22 @@ int half_quadratic(double a, double b, double c, double discriminant, double (&r
     return 2;
 }
 
-bool intersect_sphere(const QuadricShape& s, const DoubleRay& ray, const RayQuery& query,
+bool intersect_sphere(const QuadricShape& s, const ObjectRay& ray, const RayQuery& query,
                       float& t) {
     const double r = s.p_radius;
     if (!(r > 0)) return false;
     // From the point of the ray nearest to the centre, so that a far origin costs no digits
     // (Haines, Günther, Akenine-Möller 2019).
-    const Vec3d f = ray.o - s.p.cast<double>();
-    const double a = ray.d.squaredNorm();
-    const double t0 = -f.dot(ray.d) / a;
-    const double h2 = r * r - (f + t0 * ray.d).squaredNorm();
+    const Vec3d f = ray.origin - s.p.cast<double>();
+    const double a = ray.direction.squaredNorm();
+    const double t0 = -f.dot(ray.direction) / a;
+    const double h2 = r * r - (f + t0 * ray.direction).squaredNorm();
     if (!(h2 >= 0)) return false;
     const double half = std::sqrt(h2 / a);
     return in_range(t0 - half, query, t) || in_range(t0 + half, query, t);
 }
 
-bool intersect_cone(const QuadricShape& s, const DoubleRay& ray, const RayQuery& query, float& t) {
+bool intersect_cone(const QuadricShape& s, const ObjectRay& ray, const RayQuery& query, float& t) {
     const Vec3d base = s.p.cast<double>();
     Vec3d axis = s.q.cast<double>() - base;
     const double height = axis.norm();
@@ -62,15 +52,15 @@ bool intersect_cone(const QuadricShape& s, const DoubleRay& ray, const RayQuery&
     axis /= height;
     const double r0 = s.p_radius, k = (double(s.q_radius) - r0) / height;
 
-    const double dd = ray.d.squaredNorm();
-    Vec3d f = ray.o - base;
-    const double t0 = -f.dot(ray.d) / dd;
-    f += t0 * ray.d;
+    const double dd = ray.direction.squaredNorm();
+    Vec3d f = ray.origin - base;
+    const double t0 = -f.dot(ray.direction) / dd;
+    f += t0 * ray.direction;
     // Across the axis, x + t·dx from it, where the radius is r + t·dr: |x + t·dx|² = (r + t·dr)².
     // The discriminant by Lagrange's identity, as a difference of squares of what is small near the
     // surface: a point near an apex has few digits to lose.
-    const double da = ray.d.dot(axis), fa = f.dot(axis);
-    const Vec3d x = f - fa * axis, dx = ray.d - da * axis;
+    const double da = ray.direction.dot(axis), fa = f.dot(axis);
+    const Vec3d x = f - fa * axis, dx = ray.direction - da * axis;
     const double r = r0 + k * fa, dr = k * da;
     const double a = dx.squaredNorm() - dr * dr, b = x.dot(dx) - r * dr,
                  c = x.squaredNorm() - r * r;
@@ -85,12 +75,12 @@ bool intersect_cone(const QuadricShape& s, const DoubleRay& ray, const RayQuery&
     return false;
 }
 
-bool intersect_disc(const QuadricShape& s, const DoubleRay& ray, const RayQuery& query, float& t) {
-    const Vec3d n = s.q.cast<double>(), to_center = s.p.cast<double>() - ray.o;
-    const double dn = ray.d.dot(n);
+bool intersect_disc(const QuadricShape& s, const ObjectRay& ray, const RayQuery& query, float& t) {
+    const Vec3d n = s.q.cast<double>(), to_center = s.p.cast<double>() - ray.origin;
+    const double dn = ray.direction.dot(n);
     if (dn == 0 || !(s.p_radius > 0)) return false;
     const double hit = to_center.dot(n) / dn;
-    const double r2 = (hit * ray.d - to_center).squaredNorm();
+    const double r2 = (hit * ray.direction - to_center).squaredNorm();
     const double outer = s.p_radius, inner = s.q_radius;
     return r2 <= outer * outer && r2 >= inner * inner && in_range(hit, query, t);
 }
@@ -161,7 +151,7 @@ double QuadricSet::cost(uint32_t i) const {
 
 bool QuadricSet::intersect(uint32_t i, const LocalRay& ray, const RayQuery& query, float& t) const {
     const QuadricShape& s = shapes_[i];
-    const DoubleRay r = double_ray(ray);
+    const ObjectRay r(ray, query);
     switch (s.kind) {
         case QuadricKind::sphere:
             return intersect_sphere(s, r, query, t);

@@ -12,6 +12,9 @@ namespace hn = hwy::HWY_NAMESPACE;
 constexpr hn::FixedTag<float, 4> f4;
 using Float4 = hn::Vec<decltype(f4)>;
 
+constexpr float pad_share = 0x1p-19f;
+alignas(16) constexpr float last_lane[4] = {0, 0, 0, 1};
+
 float pow2(int exponent) { return std::bit_cast<float>(uint32_t(exponent + 127) << 23); }
 
 /// Whether lanes 0 to 2 of both are neither NaN nor infinite.
@@ -43,7 +46,7 @@ HWY_INLINE void set_shear(RayQuery& q, const float* d, float down, float up) {
 /// @param limit  of |rcp|: a direction component below 1/limit moves the ray by less than the least
 ///               pad over any distance within the object, and may be replaced by that bound
 HWY_INLINE void complete(LocalRay& ray, Float4 o, Float4 d, Float4 inverse, Float4 pad, float t_min,
-              float magnitude, float limit) {
+                         float magnitude, float limit) {
     const auto replaced = hn::Gt(hn::Abs(inverse), hn::Set(f4, limit));
     // Enough to move the origin to the next float at least.
     pad = hn::Add(hn::Add(pad, hn::Set(f4, 0x1p-40f * magnitude)),
@@ -95,12 +98,57 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
     return true;
 }
 
-void finish(LocalRay& ray, const RayQuery& query, float magnitude) {
-    const float largest = std::max(std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])),
-                                   std::abs(ray.direction[2]));
-    const auto d = hn::LoadU(f4, ray.direction);
-    complete(ray, hn::LoadU(f4, ray.origin), d, hn::Div(hn::Set(f4, 1.0f), d),
-             hn::LoadU(f4, ray.pad), query.t_min, magnitude, 0x1p60f / largest);
+/// Thickness: the leaf test sees fl(M·v) - o in the world, wrong by at most 4u·(|M|·|v| + |m| +
+/// |o|) per axis and by the test's own 8u of the distance; |M⁻¹| brings that to object space. The
+/// rounded map moves the origin by 4u·(|M⁻¹|·|o| + |M⁻¹·m|), and the direction by 4u·|M⁻¹|·|d|,
+/// times t of which |d|·t is within the same sum. 32u covers all 20u of it, and the roundings of
+/// the pad.
+InstanceFrame::InstanceFrame(const Transform& to_world, const Transform& to_object,
+                             const Vec3f& magnitudes)
+    : world_from_object(to_world),
+      object_from_world(to_object),
+      world_from_object_f(rounded(to_world)),
+      magnitude(magnitudes.maxCoeff()) {
+    const Vec3d reach =
+        to_world.linear.cwiseAbs() * magnitudes.cast<double>() + to_world.translation.cwiseAbs();
+    const Vec3d thickness = pad_share * (to_object.linear.cwiseAbs() * reach);
+    for (int a = 0; a < 3; ++a) {
+        for (int k = 0; k < 3; ++k) column[k][a] = float(to_object.linear(a, k));
+        column[3][a] = float(to_object.translation[a]);
+        pad[a] = float(thickness[a]);
+    }
+    for (float(&c)[4] : column) c[3] = 0;
+    pad[3] = 0;
+}
+
+bool enter(const InstanceFrame& frame, const RayQuery& query, LocalRay& local) {
+    const auto x = hn::LoadU(f4, frame.column[0]), y = hn::LoadU(f4, frame.column[1]),
+               z = hn::LoadU(f4, frame.column[2]), origin = hn::LoadU(f4, frame.column[3]);
+    const auto o = hn::LoadU(f4, query.origin), d = hn::LoadU(f4, query.direction);
+    const auto ox = hn::Broadcast<0>(o), oy = hn::Broadcast<1>(o), oz = hn::Broadcast<2>(o);
+    const auto from =
+        hn::Add(hn::Add(hn::Mul(x, ox), hn::Mul(y, oy)), hn::Add(hn::Mul(z, oz), origin));
+    const auto way =
+        hn::Add(hn::Add(hn::Mul(x, hn::Broadcast<0>(d)), hn::Mul(y, hn::Broadcast<1>(d))),
+                hn::Mul(z, hn::Broadcast<2>(d)));
+    const auto reach =
+        hn::Add(hn::Add(hn::Abs(hn::Mul(x, ox)), hn::Abs(hn::Mul(y, oy))), hn::Abs(hn::Mul(z, oz)));
+    const auto pad = hn::MulAdd(reach, hn::Set(f4, pad_share), hn::LoadU(f4, frame.pad));
+    const float largest = hn::GetLane(hn::MaxOfLanes(f4, hn::Abs(way)));
+    if (!(largest > 0) || !finite3(way, way)) return false;
+    local.frame = &frame;
+    // The fourth lane means nothing, but must not divide by zero.
+    const auto divisor = hn::Or(way, hn::Load(f4, last_lane));
+    complete(local, from, divisor, hn::Div(hn::Set(f4, 1.0f), divisor), pad, query.t_min,
+             frame.magnitude, 0x1p60f / largest);
+    return true;
+}
+
+ObjectRay::ObjectRay(const LocalRay& local, const RayQuery& query) {
+    const Vec3d o(query.origin[0], query.origin[1], query.origin[2]);
+    const Vec3d d(query.direction[0], query.direction[1], query.direction[2]);
+    origin = local.frame ? local.frame->object_from_world.point(o) : o;
+    direction = local.frame ? local.frame->object_from_world.vector(d) : d;
 }
 
 ShapeGroups IdTable::groups(uint32_t size) const {

@@ -21,13 +21,20 @@ class NearestHit;
 /// The two queries. `closest`: the nearest hit; `any`: whether there is one.
 enum class Query { closest, any };
 
-/// Where an object stands, while a ray is inside it: the whole chain of instances composed in
-/// double, and rounded once. Lives on the stack of the instance that entered the object.
+/// Where an object stands: the whole chain of instances composed in double, and rounded once, with
+/// what a ray needs to enter it.
 struct InstanceFrame {
     Transform world_from_object;
     Transform object_from_world;
     FloatTransform world_from_object_f;  ///< rounded(world_from_object)
-    Vec3d origin, direction;             ///< of the ray, in object space
+    /// object_from_world, rounded: images of the three axes, and of the world's origin.
+    float column[4][4];
+    float pad[4];     ///< of a ray from the world's origin, see `enter`
+    float magnitude;  ///< largest absolute coordinate of the object's bounds, in its space
+
+    /// @param magnitudes  largest absolute coordinates of the object
+    InstanceFrame(const Transform& world_from_object, const Transform& object_from_world,
+                  const Vec3f& magnitudes);
 };
 
 /// A ray in one object's space, prepared for conservative box tests.
@@ -118,9 +125,16 @@ struct RayQuery {
 /// @return false  for a ray that is a defined miss (see Ray)
 bool prepare(const Ray& ray, float magnitude, RayQuery& query, LocalRay& local, float& scale);
 
-/// Completes a LocalRay from its origin, direction and pad.
-/// @param magnitude  largest absolute coordinate of the object's bounds, in its space
-void finish(LocalRay& ray, const RayQuery& query, float magnitude);
+/// Fills the LocalRay of a query in an object's space.
+/// @param frame  referred to by `local` from then on
+/// @return false  where the mapped direction is zero or not finite
+bool enter(const InstanceFrame& frame, const RayQuery& query, LocalRay& local);
+
+/// The ray in an object's space, in double.
+struct ObjectRay {
+    Vec3d origin, direction;
+    ObjectRay(const LocalRay& local, const RayQuery& query);
+};
 
 /// Maps a shape's index in a set to what a Hit names: its geometry, its index there, and the
 /// instance (relative to the object's).
