@@ -120,6 +120,16 @@ class ChildrenTest<QuantisedNode> {
     PlaneOffsets offsets_;
 };
 
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+#include "accelerators/wide_packet.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+
 struct WideBvhTraversal {
     template <Query Q, class Set, class C>
     static bool run(const WideBvh<Set>& bvh, const Set& set, const LocalRay& ray, RayQuery& q,
@@ -127,6 +137,15 @@ struct WideBvhTraversal {
         if (bvh.format == WideNodes::full)
             return run_nodes<Q, WideNode>(bvh, set, ray, q, counters, start);
         return run_nodes<Q, QuantisedNode>(bvh, set, ray, q, counters, start);
+    }
+
+    template <class Set>
+    static bool takes_packets(const WideBvh<Set>& bvh) {
+        return bvh.format == WideNodes::full;
+    }
+    template <Query Q, class Set>
+    static void run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
+        trace_packet<Q>(bvh, set, packet);
     }
 
   private:

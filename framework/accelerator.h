@@ -10,6 +10,7 @@
 #include "framework/parameters.h"
 #include "framework/parts.h"
 #include "framework/primitive.h"
+#include "framework/ray_packet.h"
 #include "framework/registry.h"
 #include "framework/simd.h"
 
@@ -22,6 +23,8 @@ namespace HWY_NAMESPACE {
 /// `Traversal` has
 ///   template <Query, class Set, class Counters>
 ///   static bool run(structure, set, ray, query, counters)   // true: an `any` query is answered
+/// and, if it traces RayPackets, takes_packets(structure) and run_packet<Query>(structure, set,
+/// packet).
 /// Each override holds its own specialised copy of that traversal, so that over triangles a ray
 /// makes no indirect call below the virtual one. Counting is never timed and counts the same on
 /// every target, so counted traversals exist for the baseline only (`run_counted`).
@@ -47,6 +50,20 @@ class AcceleratedObject final : public Primitive {
     bool any_local(const LocalRay& ray, RayQuery& query) const override {
         NoCounters none;
         return Traversal::template run<Query::any>(structure_, *set_, ray, query, none);
+    }
+    bool takes_packets() const override {
+        if constexpr (has_packets)
+            return Traversal::takes_packets(structure_);
+        else
+            return false;
+    }
+    void closest_packet([[maybe_unused]] RayPacket& packet) const override {
+        if constexpr (has_packets)
+            Traversal::template run_packet<Query::closest>(structure_, *set_, packet);
+    }
+    void any_packet([[maybe_unused]] RayPacket& packet) const override {
+        if constexpr (has_packets)
+            Traversal::template run_packet<Query::any>(structure_, *set_, packet);
     }
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
         run_counted(Query::closest, structure_, *set_, ray, query, counters);
@@ -92,6 +109,9 @@ class AcceleratedObject final : public Primitive {
     }
 
   private:
+    static constexpr bool has_packets = requires(const Structure& s) {
+        Traversal::takes_packets(s);
+    };
     friend class AcceleratedPart<Structure, Traversal, Set>;
     using Part = AcceleratedPart<Structure, Traversal, Set>;
 

@@ -10,6 +10,7 @@
 
 #include "framework/exact_nearest.h"
 #include "framework/ray_order.h"
+#include "framework/ray_packet.h"
 
 namespace crofton {
 namespace {
@@ -66,14 +67,33 @@ bool Primitive::is_large() const {
     return known == large_size;
 }
 
-template <class Trace>
-void Primitive::in_good_order(std::span<const Ray> rays, const Trace& trace) const {
-    const auto as_given = [&](size_t begin, size_t end) {
-        for (size_t i = begin; i < end; ++i) trace(i);
-    };
+template <class One, class Skip, class Together>
+void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one, const Skip& skip,
+                         const Together& together) const {
+    size_t i = 0;
+    if (mode != Mode::exact && rays.size() >= RayPacket::most && takes_packets()) {
+        RayPacket packet;
+        for (; i + RayPacket::most <= rays.size(); i += RayPacket::most) {
+            const auto group = rays.subspan(i, RayPacket::most);
+            if (RayPacket::suits(group, bounds_)) {
+                packet.prepare(group, i, magnitude_, mode);
+                for (size_t k = 0; packet.count < group.size() && k < group.size(); ++k)
+                    skip(i + k);
+                together(packet);
+            } else {
+                for (size_t k = 0; k < group.size(); ++k) one(i + k);
+            }
+        }
+    }
+    for (; i < rays.size(); ++i) one(i);
+}
+
+template <class One, class Skip, class Together>
+void Primitive::in_good_order(std::span<const Ray> rays, Mode mode, const One& one,
+                              const Skip& skip, const Together& together) const {
     if (rays.size() < RayOrder::least_batch || bounds_.empty() || !is_large() ||
         !RayOrder::are_scattered(rays, bounds_))
-        return as_given(0, rays.size());
+        return as_given(rays, mode, one, skip, together);
     thread_local RayOrder order;
     for (size_t begin = 0; begin < rays.size(); begin += RayOrder::most_batch) {
         const auto batch = rays.subspan(begin, std::min(RayOrder::most_batch, rays.size() - begin));
@@ -81,13 +101,13 @@ void Primitive::in_good_order(std::span<const Ray> rays, const Trace& trace) con
         try {
             sorted = order.sort(batch, bounds_);
         } catch (const std::bad_alloc&) {
-            as_given(begin, begin + batch.size());
+            for (size_t i = 0; i < batch.size(); ++i) one(begin + i);
             continue;
         }
         constexpr size_t ahead = 8;
         for (size_t i = 0; i < sorted.size(); ++i) {
             if (i + ahead < sorted.size()) hwy::Prefetch(&batch[sorted[i + ahead]]);
-            trace(begin + sorted[i]);
+            one(begin + sorted[i]);
         }
     }
 }
@@ -115,12 +135,25 @@ bool Primitive::occluded(const Ray& ray, Mode mode) const {
 
 void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode) const {
     assert(rays.size() == hits.size());
-    in_good_order(rays, [&](size_t i) { hits[i] = intersect(rays[i], mode); });
+    in_good_order(
+        rays, mode, [&](size_t i) { hits[i] = intersect(rays[i], mode); },
+        [&](size_t i) { hits[i] = {}; },
+        [&](RayPacket& packet) {
+            closest_packet(packet);
+            for (uint32_t k = 0; k < packet.count; ++k)
+                hits[packet.index[k]] = result(packet.query[k], packet.scale[k]);
+        });
 }
 
 void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, Mode mode) const {
     assert(rays.size() == results.size());
-    in_good_order(rays, [&](size_t i) { results[i] = occluded(rays[i], mode); });
+    in_good_order(
+        rays, mode, [&](size_t i) { results[i] = occluded(rays[i], mode); },
+        [&](size_t i) { results[i] = false; },
+        [&](RayPacket& packet) {
+            any_packet(packet);
+            for (uint32_t k = 0; k < packet.count; ++k) results[packet.index[k]] = packet.found[k];
+        });
 }
 
 Hit Primitive::intersect(const Ray& ray, Counters& counters, Mode mode) const {

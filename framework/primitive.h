@@ -61,6 +61,8 @@ class PartCache {
     std::unordered_map<const Primitive*, Opened> opened_;
 };
 
+struct RayPacket;
+
 /// One object that rays can meet: a set of shapes with its accelerator, an instance of another
 /// primitive, or a whole scene. An accelerator is itself a Primitive, so any may hold any.
 ///
@@ -83,7 +85,8 @@ class Primitive {
     /// Whether anything is hit with t in [ray.t_min, ray.t_max].
     bool occluded(const Ray& ray, Mode mode = Mode::robust) const;
     /// The same for many rays; results are in the order of the rays and equal the single calls bit
-    /// for bit. Thousands of rays that jump about in a structure larger than the last cache are
+    /// for bit. Neighbours that go together are traced together where the structure can: see
+    /// RayPacket. Thousands of rays that jump about in a structure larger than the last cache are
     /// traced in a better order: see RayOrder. Spans must have equal length.
     void intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode = Mode::robust) const;
     void occluded(std::span<const Ray> rays, std::span<uint8_t> results,
@@ -98,6 +101,11 @@ class Primitive {
     virtual bool any_local(const LocalRay& ray, RayQuery& query) const = 0;
     virtual void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
     virtual bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
+    /// Whether rays that go together can be traced together: see RayPacket. If not, the next two
+    /// are never called.
+    virtual bool takes_packets() const { return false; }
+    virtual void closest_packet(RayPacket&) const {}
+    virtual void any_packet(RayPacket&) const {}
     /// @}
 
     /// Expected cost in nanoseconds of a ray that meets the bounds (closest hit, ignoring that rays
@@ -165,9 +173,13 @@ class Primitive {
     /// Whether the whole, all inside included, has RayOrder::large_structure bytes; found when
     /// first asked.
     bool is_large() const;
-    /// Calls trace(i) for every ray.
-    template <class Trace>
-    void in_good_order(std::span<const Ray> rays, const Trace& trace) const;
+    /// Calls one(i) for a ray, or first skip(i) for some and then together(packet).
+    template <class One, class Skip, class Together>
+    void in_good_order(std::span<const Ray> rays, Mode mode, const One& one, const Skip& skip,
+                       const Together& together) const;
+    template <class One, class Skip, class Together>
+    void as_given(std::span<const Ray> rays, Mode mode, const One& one, const Skip& skip,
+                  const Together& together) const;
     enum : uint8_t { unknown_size, small_size, large_size };
     mutable std::atomic<uint8_t> size_known_ = unknown_size;
 };
