@@ -24,6 +24,8 @@ struct Box {
 /// t of a triangle, relative: rounded to float once from double, where the corners' errors are far
 /// below triangle_bound (solve_in_double in framework/simd.h).
 inline constexpr double t_bound = 0x1p-23;
+/// And absolute: t may be no normal float.
+inline constexpr double least_t_bound = 0x1p-125;
 /// The same in Mode::fast: the products and sums of the float test err by 14u·t.
 inline constexpr double fast_t_bound = 0x1p-19;
 

@@ -125,6 +125,8 @@ void find_candidates(const DoubleRay& ray, const Corners::Sheared (&c)[3], doubl
     if (!(hit.lo >= low)) hit.lo = Interval::down(low);
     if (!(hit.hi <= high)) hit.hi = Interval::up(high);
     hit.widen(scale * ray.t_bound);
+    hit.lo -= scale * least_t_bound;
+    hit.hi += scale * least_t_bound;
     out.add(hit);
 }
 

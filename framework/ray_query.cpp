@@ -3,6 +3,7 @@
 #include <hwy/highway.h>
 
 #include <bit>
+#include <cmath>
 
 namespace crofton {
 namespace {
@@ -39,6 +40,18 @@ HWY_INLINE void set_shear(RayQuery& q, const float* d, float down, float up) {
     q.shear_z = 1.0f / d[q.kz] * up;
     q.shear_x = d[q.kx] * down * q.shear_z;
     q.shear_y = d[q.ky] * down * q.shear_z;
+}
+
+/// Whether it may be no normal float once it is scaled.
+bool is_tiny(float t) { return std::abs(t) < 0x1p-100f && t != 0; }
+
+/// Where scaling rounds the ends of the interval, nothing outside of it may be let in.
+void keep_inside(const Ray& ray, float up, float down, RayQuery& q) {
+    float t_min = ray.t_min * up, t_max = ray.t_max * up;
+    while (t_min * down < ray.t_min) t_min = std::nextafter(t_min, INFINITY);
+    while (t_max * down > ray.t_max) t_max = std::nextafter(t_max, -INFINITY);
+    q.set_min(t_min);
+    q.set_best(t_max);
 }
 
 /// Everything of a LocalRay that follows from origin, direction and pad.
@@ -87,6 +100,7 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
     hn::StoreU(scaled, f4, q.direction);
     q.set_min(ray.t_min * up);
     q.set_best(ray.t_max * up);
+    if (HWY_UNLIKELY(is_tiny(ray.t_min) || is_tiny(ray.t_max))) keep_inside(ray, up, down, q);
     set_shear(q, ray.direction.data(), down, up);
     scale = down;
     hn::StoreU(o, f4, q.origin);
