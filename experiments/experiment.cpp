@@ -153,7 +153,7 @@ bool same_runs(const Experiment& a, const Experiment& b) {
 
 bool same_variant(const Variant& a, const Variant& b) {
     return a.name == b.name && a.canonical == b.canonical && a.max_rays == b.max_rays &&
-           a.mode == b.mode;
+           a.mode == b.mode && a.single == b.single;
 }
 
 /// Adds an experiment to the list, or its variants to one that shares all the rest.

@@ -12,17 +12,26 @@
 namespace crofton {
 namespace {
 
-constexpr size_t chunk = 1024;  ///< rays at a time: their hits stay in the cache
+constexpr size_t chunk = 1024;  ///< rays at a time on several threads
+/// On one: enough for the library to find an order for them, and their hits stay in the cache.
+constexpr size_t long_chunk = 1u << 14u;
 
 /// Where results go that nobody reads.
 struct Scratch {
-    std::vector<Hit> hits = std::vector<Hit>(chunk);
-    std::vector<uint8_t> flags = std::vector<uint8_t>(chunk);
+    std::vector<Hit> hits = std::vector<Hit>(long_chunk);
+    std::vector<uint8_t> flags = std::vector<uint8_t>(long_chunk);
 };
 
 void trace_chunk(const Primitive& root, std::span<const Ray> rays, const Tracing& tracing,
                  Scratch& scratch) {
-    if (tracing.any)
+    if (tracing.single) {
+        for (size_t i = 0; i < rays.size(); ++i) {
+            if (tracing.any)
+                scratch.flags[i] = root.occluded(rays[i], tracing.mode);
+            else
+                scratch.hits[i] = root.intersect(rays[i], tracing.mode);
+        }
+    } else if (tracing.any)
         root.occluded(rays, std::span(scratch.flags).first(rays.size()), tracing.mode);
     else
         root.intersect(rays, std::span(scratch.hits).first(rays.size()), tracing.mode);
@@ -61,9 +70,9 @@ double timed_pass(const Primitive& root, std::span<const Ray> rays, const Tracin
     thread_local Scratch own;
     const auto start = std::chrono::steady_clock::now();
     if (tracing.threads == 1) {
-        for (size_t begin = 0; begin < rays.size(); begin += chunk)
-            trace_chunk(root, rays.subspan(begin, std::min(chunk, rays.size() - begin)), tracing,
-                        own);
+        for (size_t begin = 0; begin < rays.size(); begin += long_chunk)
+            trace_chunk(root, rays.subspan(begin, std::min(long_chunk, rays.size() - begin)),
+                        tracing, own);
     } else {
         for_chunks(rays.size(), tracing.threads, [&](size_t begin, size_t end) {
             thread_local Scratch scratch;

@@ -29,6 +29,7 @@ struct Tracing {
     bool any = false;
     int threads = 1;  ///< 0 = one per core
     Mode mode = Mode::robust;
+    bool single = false;  ///< one call a ray, instead of spans
 };
 
 /// Traces all rays once without counters. @return  wall seconds

@@ -237,6 +237,7 @@ std::vector<Variant> parse_variants(ConfigTable& root) {
         Variant variant = make_variant(name, read_assignment(table, base, choices));
         variant.max_rays = table.integer("max_rays", 1, int64_t{1} << 40);
         variant.mode = read_mode(table);
+        variant.single = table.boolean("single", false);
         table.finish();
         for (const Variant& other : variants)
             if (other.name == name) table.fail("name", "two variants are named '" + name + "'");

@@ -20,6 +20,7 @@ struct Variant {
     AssemblyPlan plan;
     std::optional<int64_t> max_rays;  ///< timed per pass
     std::optional<Mode> mode;         ///< nothing: what [run] says
+    bool single = false;              ///< timed by one call a ray, instead of spans
     bool peer = false;      ///< holds another library's structure, which promises nothing of ours
     bool available = true;  ///< false: a peer that the program was built without
     std::string canonical;  ///< equal texts: equal structures

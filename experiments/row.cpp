@@ -118,6 +118,7 @@ std::string to_json_line(const Row& row) {
     json["variant"] = row.variant;
     json["accelerator"] = row.accelerator;
     json["mode"] = row.mode;
+    json["single"] = row.single;
     json["workload"] = row.workload;
     json["query"] = row.query;
     json["rays"] = row.rays;

@@ -45,6 +45,7 @@ struct Row {
     uint64_t hits = 0;          ///< of the rays checked
     std::string hits_checksum;
     bool peer = false;        ///< of another library
+    bool single = false;      ///< timed by one call a ray
     uint64_t mismatches = 0;  ///< rays whose hit differs from the reference variant's
     std::string checked_against;
     std::optional<DepthError> depth_error;  ///< instead of mismatches

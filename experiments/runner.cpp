@@ -244,7 +244,8 @@ class Run {
         if (!spec_.run.budgets.empty()) c.spec.name += fmt::format(" [{:g}]", rays);
         for (size_t t = 0; t < trials.size(); ++t)
             if (trials[t].built->spec->canonical == c.spec.canonical &&
-                trials[t].built->spec->mode == c.spec.mode) {
+                trials[t].built->spec->mode == c.spec.mode &&
+                trials[t].built->spec->single == c.spec.single) {
                 c.trial = t;
                 c.shared = true;
                 c.selection.assembly = {};
@@ -358,7 +359,7 @@ class Run {
     }
 
     Tracing timed_tracing(const Built& built) const {
-        return {any_, int(spec_.run.threads), *built.spec->mode};
+        return {any_, int(spec_.run.threads), *built.spec->mode, built.spec->single};
     }
 
     Trial plan_trial(const Built& built, const WorkloadSpec& workload) {
@@ -556,6 +557,7 @@ class Run {
         row.scene = scene_.name;
         row.variant = built.spec->name;
         row.mode = name_of(*built.spec->mode);
+        row.single = built.spec->single;
         row.peer = built.spec->peer;
         row.accelerator = describe(*built.assembly.root);
         row.triangles = statistics_.triangles_unique;
@@ -577,7 +579,8 @@ class Run {
         for (const std::string& text :
              {spec_.scene_canonical, built.spec->canonical, spec_.workload_canonical[workload],
               spec_.run_canonical, revision_text(),
-              std::to_string(built.spec->max_rays.value_or(0)), name_of(*built.spec->mode)})
+              std::to_string(built.spec->max_rays.value_or(0)), name_of(*built.spec->mode),
+              std::string(built.spec->single ? "single" : "span")})
             hash.add(text);
         for (const auto& [file, value] : inputs_) hash.add(value);
         return hash.hex();
