@@ -144,8 +144,13 @@ struct WideBvhTraversal {
         return bvh.format == WideNodes::full;
     }
     template <Query Q, class Set>
-    static void run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
-        trace_packet<Q>(bvh, set, packet);
+    static bool run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
+        if (trace_packet<Q>(bvh, set, packet)) return true;
+        NoCounters none;
+        for (uint32_t r = 0; r < packet.count; ++r)
+            packet.found[r] =
+                packet.found[r] || run<Q>(bvh, set, packet.local[r], packet.query[r], none);
+        return false;
     }
 
   private:

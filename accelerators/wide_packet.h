@@ -145,9 +145,17 @@ class PacketChildrenTest {
 /// A packet goes down the tree as one; at a leaf all its rays are tested against the box at once,
 /// and those that meet it test what is inside as they would have alone. Hits do not depend on which
 /// further leaves are visited, so they are those of single rays.
+///
+/// A packet goes as far as the last of its rays, and where those go different ways, or one of them
+/// to the horizon, most of what it passes is met by few or none. So it may take `free_visits`, and
+/// two for every ray that has met a leaf.
+/// @return  false: it took more than that and gave up; its rays have still to be traced, from the
+///          root, with what they found so far
 template <Query Q, class Set>
-void trace_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
-    if (bvh.box.empty() || packet.count == 0) return;
+bool trace_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
+    constexpr int free_visits = 32;
+    if (bvh.box.empty() || packet.count == 0) return true;
+    int visits_left = free_visits;
     struct Open {
         float t;
         uint32_t child;
@@ -167,6 +175,7 @@ void trace_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
     while (top > stack) {
         const Open open = *--top;
         if (open.t > t_cull) continue;
+        if (--visits_left < 0) return false;
         if (!WideChild::is_leaf(open.child)) {
             const WideNode& node = node_at(nodes, open.child);
             alignas(32) float t[8];
@@ -183,6 +192,7 @@ void trace_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
         bool nearer = false;
         for (uint32_t hits = rays.meet(open.planes, down); hits; hits &= hits - 1) {
             const uint32_t r = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
+            visits_left += 2;
             RayQuery& q = packet.query[r];
             const float before = q.t_cull;
             const bool found = test_leaf<Q>(set, bvh.leaves, WideChild::first(open.child),
@@ -195,6 +205,7 @@ void trace_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
         }
         if (nearer) t_cull = rays.most_t_cull();
     }
+    return true;
 }
 
 }  // namespace HWY_NAMESPACE

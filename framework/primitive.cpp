@@ -73,13 +73,20 @@ void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one, c
     size_t i = 0;
     if (mode != Mode::exact && rays.size() >= RayPacket::most && takes_packets()) {
         RayPacket packet;
+        // Where a packet does not pay, the next hardly will: ever fewer are tried.
+        size_t pause = 1, paused = 0;
         for (; i + RayPacket::most <= rays.size(); i += RayPacket::most) {
             const auto group = rays.subspan(i, RayPacket::most);
-            if (RayPacket::suits(group, bounds_)) {
+            if (paused > 0) {
+                --paused;
+                for (size_t k = 0; k < group.size(); ++k) one(i + k);
+            } else if (RayPacket::suits(group, bounds_)) {
                 packet.prepare(group, i, magnitude_, mode);
                 for (size_t k = 0; packet.count < group.size() && k < group.size(); ++k)
                     skip(i + k);
-                together(packet);
+                const bool worth_it = together(packet);
+                paused = worth_it ? 0 : pause;
+                pause = worth_it ? 1 : std::min<size_t>(2 * pause, 64);
             } else {
                 for (size_t k = 0; k < group.size(); ++k) one(i + k);
             }
@@ -139,9 +146,10 @@ void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode m
         rays, mode, [&](size_t i) { hits[i] = intersect(rays[i], mode); },
         [&](size_t i) { hits[i] = {}; },
         [&](RayPacket& packet) {
-            closest_packet(packet);
+            const bool worth_it = closest_packet(packet);
             for (uint32_t k = 0; k < packet.count; ++k)
                 hits[packet.index[k]] = result(packet.query[k], packet.scale[k]);
+            return worth_it;
         });
 }
 
@@ -151,8 +159,9 @@ void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, 
         rays, mode, [&](size_t i) { results[i] = occluded(rays[i], mode); },
         [&](size_t i) { results[i] = false; },
         [&](RayPacket& packet) {
-            any_packet(packet);
+            const bool worth_it = any_packet(packet);
             for (uint32_t k = 0; k < packet.count; ++k) results[packet.index[k]] = packet.found[k];
+            return worth_it;
         });
 }
 

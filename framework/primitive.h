@@ -102,10 +102,10 @@ class Primitive {
     virtual void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
     virtual bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
     /// Whether rays that go together can be traced together: see RayPacket. If not, the next two
-    /// are never called.
+    /// are never called. They return whether it was worth it.
     virtual bool takes_packets() const { return false; }
-    virtual void closest_packet(RayPacket&) const {}
-    virtual void any_packet(RayPacket&) const {}
+    virtual bool closest_packet(RayPacket&) const { return false; }
+    virtual bool any_packet(RayPacket&) const { return false; }
     /// @}
 
     /// Expected cost in nanoseconds of a ray that meets the bounds (closest hit, ignoring that rays
@@ -173,7 +173,8 @@ class Primitive {
     /// Whether the whole, all inside included, has RayOrder::large_structure bytes; found when
     /// first asked.
     bool is_large() const;
-    /// Calls one(i) for a ray, or first skip(i) for some and then together(packet).
+    /// Calls one(i) for a ray, or first skip(i) for some and then together(packet), which says
+    /// whether that was worth it.
     template <class One, class Skip, class Together>
     void in_good_order(std::span<const Ray> rays, Mode mode, const One& one, const Skip& skip,
                        const Together& together) const;
