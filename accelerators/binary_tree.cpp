@@ -8,10 +8,7 @@ namespace crofton {
 namespace {
 
 constexpr int rebuild_depth = 40;  // + 32 for halves of up to 2^32 leaves = BinaryTree::max_depth
-constexpr int parallel_depth = 6;  // nodes above it have their children done at once
 static_assert(rebuild_depth + 32 == BinaryTree::max_depth);
-
-constexpr size_t parallel_size = 8192;  // trees of fewer nodes are not worth tasks
 
 /// Levels below each node, and depths; without recursion, for trees of any depth.
 struct Levels {
@@ -90,13 +87,12 @@ class Rebalance {
             return ca != cb ? ca < cb : nodes_[a].first < nodes_[b].first;
         });
         const uint32_t left = halve(begin, middle), right = halve(middle, end);
-        nodes_[node].left = left;
-        nodes_[node].right = right;
+        nodes_[node].make_inner(left, right);
         nodes_[node].bounds = merge(nodes_[left].bounds, nodes_[right].bounds);
         return node;
     }
 
-    std::vector<BinaryTree::Node>& nodes_;
+    RawVector<BinaryTree::Node>& nodes_;
     std::vector<uint32_t> leaves_, inner_;
     size_t next_inner_ = 0;
 };
@@ -110,7 +106,7 @@ class Collapse {
           costs_(costs),
           cost_of_shape_(cost_of_shape),
           max_leaf_size_(max_leaf_size),
-          parallel_levels_(tree.nodes.size() < parallel_size ? 0 : parallel_depth),
+          parallel_levels_(parallel_levels(tree.nodes.size())),
           subtrees_(tree.nodes.size()) {}
 
     BinaryTree run() {
@@ -132,17 +128,6 @@ class Collapse {
         uint32_t references;
     };
 
-    /// Runs both for a node at `depth`, at once if it is near the root of a large tree.
-    template <class A, class B>
-    void both(int depth, const A& a, const B& b) const {
-        if (depth < parallel_levels_) {
-            parallel_invoke(a, b);
-        } else {
-            a();
-            b();
-        }
-    }
-
     void weigh(uint32_t i, int depth) {
         const BinaryTree::Node& node = tree_.nodes[i];
         const double area = half_area(node.bounds);
@@ -156,8 +141,9 @@ class Collapse {
             s.cost = area * s.leaf;
             return;
         }
-        both(
-            depth, [&] { weigh(node.left, depth + 1); }, [&] { weigh(node.right, depth + 1); });
+        invoke_both(
+            depth < parallel_levels_, [&] { weigh(node.left, depth + 1); },
+            [&] { weigh(node.right, depth + 1); });
         const Subtree &l = subtrees_[node.left], &r = subtrees_[node.right];
         s = {area * costs_.node + l.cost + r.cost, 0, l.shapes + r.shapes, 1 + l.nodes + r.nodes,
              l.references + r.references};
@@ -189,15 +175,14 @@ class Collapse {
             // shape that meet again in a leaf are one.
             std::sort(begin, end);
             end = std::unique(begin, end);
-            out.first = first;
-            out.count = uint32_t(end - begin);
+            out.make_leaf(first, size_t(end - begin));
+            if (costs_.blocks) out.blocks() = costs_.blocks({begin, end});
             return;
         }
-        out.left = to + 1;
-        out.right = to + 1 + subtrees_[node.left].nodes;
+        out.make_inner(to + 1, to + 1 + subtrees_[node.left].nodes);
         const uint32_t right_first = first + subtrees_[node.left].references;
-        both(
-            depth, [&] { emit(node.left, out.left, first, depth + 1); },
+        invoke_both(
+            depth < parallel_levels_, [&] { emit(node.left, out.left, first, depth + 1); },
             [&] { emit(node.right, out.right, right_first, depth + 1); });
     }
 
@@ -213,7 +198,7 @@ class Collapse {
     std::span<const float> cost_of_shape_;
     uint32_t max_leaf_size_;
     int parallel_levels_;
-    std::vector<Subtree> subtrees_;
+    RawVector<Subtree> subtrees_;
     BinaryTree* out_ = nullptr;
 };
 
@@ -266,7 +251,8 @@ BinaryTree build_tree(std::vector<BuildReference> references, const ShapeClipper
         for (const BuildReference& r : references) cost_of_shape[r.shape] = r.cost;
     }
     BinaryTree tree = run_builder(std::move(references), clipper, p, costs);
-    limit_depth(tree);
+    // The others count their levels.
+    if (p.builder == TreeBuilder::ploc || p.builder == TreeBuilder::insertion) limit_depth(tree);
     reinsert(tree, p.reinsertion);
     collapse_leaves(tree, costs, cost_of_shape, p.max_leaf_size);
     return tree;

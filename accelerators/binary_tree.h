@@ -1,10 +1,12 @@
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <span>
 #include <vector>
 
+#include "framework/aligned.h"
 #include "framework/bounds.h"
 #include "framework/parallel.h"
 
@@ -31,9 +33,20 @@ struct BinaryTree {
         uint32_t left = 0, right = 0;   ///< children, if count = 0
         uint32_t first = 0, count = 0;  ///< leaf: a range of `order`
         bool leaf() const { return count > 0; }
+        void make_leaf(size_t from, size_t n) {
+            left = right = 0;
+            first = uint32_t(from), count = uint32_t(n);
+        }
+        void make_inner(size_t l, size_t r) {
+            left = uint32_t(l), right = uint32_t(r);
+            first = count = 0;
+        }
+        /// Of a leaf of a finished tree, where TreeCosts::blocks tells: how many it fills.
+        uint32_t& blocks() { return left; }
+        uint32_t blocks() const { return left; }
     };
-    std::vector<Node> nodes;      ///< the root first; may have unused entries
-    std::vector<uint32_t> order;  ///< shapes, leaf by leaf; may have unused entries
+    RawVector<Node> nodes;      ///< the root first; may have unused, undefined entries
+    RawVector<uint32_t> order;  ///< shapes, leaf by leaf; may have unused entries
     bool empty() const { return nodes.empty(); }
 };
 
@@ -56,20 +69,44 @@ struct TreeCosts {
         return blocks && shapes.size() <= most_counted ? leaf_block * blocks(shapes)
                                                        : leaf(sum, uint32_t(shapes.size()));
     }
+    /// Of a leaf of a finished tree.
+    template <class Node>
+    double finished_leaf(double sum, const Node& node) const {
+        return blocks ? leaf_block * node.blocks() : leaf(sum, node.count);
+    }
 };
+
+/// Levels of a tree of n nodes whose nodes have their children worked on at once.
+inline int parallel_levels(size_t n) { return n < 8192 ? 0 : 6; }
+
+/// Runs both, at once if that is worth while.
+template <class A, class B>
+void invoke_both(bool at_once, const A& a, const B& b) {
+    if (at_once) {
+        parallel_invoke(a, b);
+    } else {
+        a();
+        b();
+    }
+}
 
 /// References of all active shapes of a set, ascending.
 template <class Set>
 std::vector<BuildReference> build_references(const Set& set) {
     std::vector<BuildReference> references(set.size());
-    parallel_for(set.size(), 1 << 14, [&](size_t begin, size_t end) {
+    std::atomic<bool> some_empty = false;
+    parallel_for(set.size(), 1 << 13, [&](size_t begin, size_t end) {
+        bool empty = false;
         for (size_t i = begin; i < end; ++i) {
             const uint32_t shape = uint32_t(i);
             if (set.active(shape))
                 references[i] = {set.bounds(shape), shape, float(set.cost(shape))};
+            empty = empty || references[i].bounds.empty();
         }
+        if (empty) some_empty = true;
     });
-    std::erase_if(references, [](const BuildReference& r) { return r.bounds.empty(); });
+    if (some_empty)
+        std::erase_if(references, [](const BuildReference& r) { return r.bounds.empty(); });
     return references;
 }
 

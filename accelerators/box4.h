@@ -8,6 +8,28 @@
 
 namespace crofton {
 
+namespace hn = hwy::HWY_NAMESPACE;
+
+/// A reference in two vector registers, loaded as it is stored: a load across two stores waits for
+/// both.
+struct StoredReference {
+    using D = hn::FixedTag<float, 4>;
+    using V = hn::Vec<D>;
+    V first, second;
+
+    explicit StoredReference(const BuildReference& r)
+        : first(hn::LoadU(D(), data(r))), second(hn::LoadU(D(), data(r) + 4)) {}
+    void store(BuildReference& r) const {
+        float* const to = const_cast<float*>(data(r));
+        hn::StoreU(first, D(), to);
+        hn::StoreU(second, D(), to + 4);
+    }
+    V upper() const { return hn::CombineShiftRightBytes<12>(D(), second, first); }
+
+  private:
+    static const float* data(const BuildReference& r) { return r.bounds.lower.data(); }
+};
+
 /// A box in two vector registers, for builders: they are compiled once, for the baseline. The
 /// fourth lanes mean nothing.
 struct Box4 {
@@ -18,10 +40,8 @@ struct Box4 {
 
     Box4() = default;
     Box4(V l, V u) : lower(l), upper(u) {}
-    /// Reads one float behind the box.
-    explicit Box4(const BuildReference& r)
-        : lower(hwy::HWY_NAMESPACE::LoadU(D(), r.bounds.lower.data())),
-          upper(hwy::HWY_NAMESPACE::LoadU(D(), r.bounds.upper.data())) {}
+    explicit Box4(const BuildReference& r) : Box4(StoredReference(r)) {}
+    explicit Box4(const StoredReference& r) : lower(r.first), upper(r.upper()) {}
 
     void extend(const Box4& b) {
         lower = hwy::HWY_NAMESPACE::Min(lower, b.lower);
@@ -39,6 +59,7 @@ struct Box4 {
         return (bits[0] & 7) == 7;
     }
     V centroid2() const { return hwy::HWY_NAMESPACE::Add(lower, upper); }
+    V extent() const { return hwy::HWY_NAMESPACE::Sub(upper, lower); }
     Bounds3 bounds() const {
         alignas(16) float l[4], u[4];
         hwy::HWY_NAMESPACE::Store(lower, D(), l);
@@ -72,14 +93,19 @@ struct ReferenceBounds {
     }
 };
 
+/// Size of the chunks that n references are worked on in: it does not depend on the threads.
+inline size_t chunk_size(size_t n) {
+    constexpr size_t chunks = 16, least = 8192;
+    return n < 2 * least ? std::max<size_t>(n, 1) : (n + chunks - 1) / chunks;
+}
+
 /// Sums chunks of [begin, end) with `body(begin, end) -> T` and T::add, in order of the chunks,
 /// which do not depend on the number of threads: the same bits always.
 template <class T, class Body>
 T sum_chunks(size_t begin, size_t end, const Body& body) {
-    constexpr size_t chunks = 16, least = 8192;
-    const size_t n = end - begin;
-    if (n < 2 * least) return body(begin, end);
-    const size_t size = (n + chunks - 1) / chunks;
+    const size_t n = end - begin, size = chunk_size(n);
+    if (n <= size) return body(begin, end);
+    const size_t chunks = (n + size - 1) / size;
     std::vector<T> parts(chunks);
     parallel_for(chunks, 1, [&](size_t from, size_t to) {
         for (size_t i = from; i < to; ++i)

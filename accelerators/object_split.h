@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <limits>
 #include <span>
 
@@ -16,12 +17,18 @@ inline int bins_for(size_t n, int bins) {
     return std::min({bins, max_bins, std::max(4, int(std::min<size_t>(n, max_bins)))});
 }
 
+/// The three axes; a box's fourth lane means nothing, and as a denormal number it would be slow.
+inline Box4::V first_three_lanes(Box4::V v) {
+    namespace hn = hwy::HWY_NAMESPACE;
+    return hn::IfThenElseZero(hn::FirstN(Box4::D(), 3), v);
+}
+
 /// Which bin a reference's centroid is in, on all axes at once.
 class Binning {
   public:
     Binning(const Box4& centroids, int bins) : lower_(centroids.lower) {
         namespace hn = hwy::HWY_NAMESPACE;
-        const auto extent = hn::Sub(centroids.upper, centroids.lower);
+        const auto extent = first_three_lanes(centroids.extent());
         const auto scale = hn::Div(hn::Set(d, float(bins) * 0.999999f), extent);
         const auto usable = hn::And(hn::Gt(extent, hn::Zero(d)),
                                     hn::Lt(scale, hn::Set(d, std::numeric_limits<float>::max())));
@@ -35,14 +42,15 @@ class Binning {
     void of(const Box4& box, int32_t* bin) const {
         namespace hn = hwy::HWY_NAMESPACE;
         const hn::FixedTag<int32_t, 4> d32;
-        auto x = hn::Mul(hn::Sub(box.centroid2(), lower_), scale_);
-        x = hn::Min(hn::Max(x, hn::Zero(d)), last_);
-        hn::Store(hn::ConvertTo(d32, x), d32, bin);
+        const auto x = hn::Floor(hn::Min(hn::Max(place(box), hn::Zero(d)), last_));
+        // Added to 2^23, whole numbers are in the lowest bits.
+        const auto bits = hn::BitCast(d32, hn::Add(x, hn::Set(d, 0x1p23f)));
+        hn::Store(hn::And(bits, hn::Set(d32, 255)), d32, bin);
     }
-    int of(const BuildReference& r, int axis) const {
-        alignas(16) int32_t bin[4];
-        of(Box4(r), bin);
-        return bin[axis];
+    /// In units of bins, not yet limited to them.
+    Box4::V place(const Box4& box) const {
+        namespace hn = hwy::HWY_NAMESPACE;
+        return hn::Mul(first_three_lanes(hn::Sub(box.centroid2(), lower_)), scale_);
     }
     /// Whether there is more than one centroid on an axis.
     bool splits(int axis) const { return splits_[axis]; }
@@ -53,42 +61,96 @@ class Binning {
     bool splits_[3];
 };
 
-struct Bin {
-    Box4 box;
-    uint32_t count = 0;
-    double cost = 0;
-
-    void add(const Box4& b, double c) {
-        box.extend(b);
-        ++count;
-        cost += c;
-    }
-    void add(const Bin& b) {
-        box.extend(b.box);
-        count += b.count;
-        cost += b.cost;
-    }
-};
-
-/// A node's references by the bins of their centroids on each axis.
+/// A node's references by the bins of their centroids on each axis. Not initialised beyond `bins`.
 struct BinTable {
-    std::array<std::array<Bin, max_bins>, 3> axis;
-    int bins = 0;
-
-    BinTable(std::span<const BuildReference> references, const Binning& binning, int n) : bins(n) {
-        for (auto& a : axis) std::fill_n(a.begin(), n, Bin());
-        for (const BuildReference& r : references) {
-            const Box4 box(r);
-            alignas(16) int32_t bin[4];
-            binning.of(box, bin);
-            for (size_t a = 0; a < 3; ++a) axis[a][size_t(bin[a])].add(box, r.cost);
+    struct Bin {
+        float lower[4], upper[4];
+        Box4 box() const {
+            namespace hn = hwy::HWY_NAMESPACE;
+            return {hn::Load(Box4::D(), lower), hn::Load(Box4::D(), upper)};
         }
+        void extend(const Box4& b) {
+            namespace hn = hwy::HWY_NAMESPACE;
+            const Box4::D d;
+            hn::Store(hn::Min(hn::Load(d, lower), b.lower), d, lower);
+            hn::Store(hn::Max(hn::Load(d, upper), b.upper), d, upper);
+        }
+    };
+    alignas(16) Bin bin[max_bins][4];         // [bin][axis]
+    alignas(16) uint32_t count[max_bins][4];  // likewise
+    alignas(16) float cost[max_bins][4];      // likewise, where references weigh differently
+    int bins;
+
+    BinTable(std::span<const BuildReference> references, const Binning& binning, int n,
+             bool weighted)
+        : bins(n) {
+        namespace hn = hwy::HWY_NAMESPACE;
+        const Box4 none;
+        for (int b = 0; b < n; ++b)
+            for (int a = 0; a < 4; ++a) {
+                hn::Store(none.lower, Box4::D(), bin[b][a].lower);
+                hn::Store(none.upper, Box4::D(), bin[b][a].upper);
+                count[b][a] = 0;
+                cost[b][a] = 0;
+            }
+        if (weighted)
+            fill<true>(references, binning);
+        else
+            fill<false>(references, binning);
     }
     BinTable() {}
     void add(const BinTable& t) {
-        for (size_t a = 0; a < 3; ++a)
-            for (size_t b = 0; b < size_t(bins); ++b) axis[a][b].add(t.axis[a][b]);
+        for (int b = 0; b < bins; ++b)
+            for (int a = 0; a < 3; ++a) {
+                bin[b][a].extend(t.bin[b][a].box());
+                count[b][a] += t.count[b][a];
+                cost[b][a] += t.cost[b][a];
+            }
     }
+
+  private:
+    template <bool weighted>
+    void fill(std::span<const BuildReference> references, const Binning& binning) {
+        for (const BuildReference& r : references) {
+            const Box4 box(r);
+            alignas(16) int32_t place[4];
+            binning.of(box, place);
+            for (int a = 0; a < 3; ++a) {
+                bin[place[a]][a].extend(box);
+                ++count[place[a]][a];
+                if constexpr (weighted) cost[place[a]][a] += r.cost;
+            }
+        }
+    }
+};
+
+/// Half areas of three boxes, in units in which a node's largest extent is about 1: no product of
+/// extents overflows.
+class ScaledAreas {
+  public:
+    using V = Box4::V;
+    explicit ScaledAreas(const Box4& node) {
+        const Bounds3 b = node.bounds();
+        const float extent = b.extent().maxCoeff();
+        const bool sane = extent > 0 && std::isfinite(extent);
+        const int e = sane ? std::clamp(-std::ilogb(extent), -120, 120) : 0;
+        scale_ = hn::Set(Box4::D(), std::ldexp(1.0f, e));
+    }
+    /// Lanes 0 to 2; lane 3 is 0.
+    V of(const Box4& a, const Box4& b, const Box4& c) const {
+        const Box4::D d;
+        const V ea = a.extent(), eb = b.extent(), ec = first_three_lanes(c.extent());
+        const V low = hn::InterleaveLower(d, ea, eb), high = hn::InterleaveUpper(d, ea, eb);
+        const V x = hn::Mul(first_three_lanes(hn::ConcatLowerLower(d, ec, low)), scale_);
+        const V y =
+            hn::Mul(first_three_lanes(hn::ConcatLowerUpper(d, hn::Shuffle0321(ec), low)), scale_);
+        const V z = hn::Mul(hn::ConcatUpperLower(d, ec, high), scale_);
+        return hn::Add(hn::Add(hn::Mul(x, y), hn::Mul(y, z)), hn::Mul(z, x));
+    }
+    float of(const Box4& a) const { return hn::GetLane(of(a, a, a)); }
+
+  private:
+    V scale_;
 };
 
 /// A plane between bins.
@@ -96,30 +158,84 @@ struct ObjectSplit {
     double cost = std::numeric_limits<double>::infinity();  ///< of the node, in nominal ns
     int axis = -1;                                          ///< -1: none found
     int bin = 0;                                            ///< references in bins < bin go left
+    Box4 side[2];                                           ///< boxes of the children
 };
 
-/// Improves `best` by the planes of one axis.
-/// @param area  half area of the node
-inline void sweep_bins(const std::array<Bin, max_bins>& bins, int n, int axis, double area,
-                       const TreeCosts& costs, ObjectSplit& best) {
-    std::array<double, max_bins> right_cost;
-    Bin right;
-    for (size_t b = size_t(n) - 1; b > 0; --b) {
-        right.add(bins[b]);
-        right_cost[b] =
-            right.count ? right.box.half_area() * costs.leaf(right.cost, right.count) : -1;
-    }
-    Bin left;
-    for (size_t b = 1; b < size_t(n); ++b) {
-        left.add(bins[b - 1]);
-        if (left.count == 0 || right_cost[b] < 0) continue;
-        const double children =
-            left.box.half_area() * costs.leaf(left.cost, left.count) + right_cost[b];
+/// The best of all planes between bins.
+class BinSweep {
+  public:
+    BinSweep(const BinTable& table, const TreeCosts& costs)
+        : table_(table),
+          weighted_(costs.leaf_width == 1),
+          width_(hn::Set(d, float(costs.leaf_width))),
+          block_(hn::Set(d, float(costs.leaf_block))),
+          shape_(hn::Set(d, float(costs.leaf_shape))) {}
+
+    /// @param node  box of all references
+    ObjectSplit best(const Box4& node, const Binning& binning, const TreeCosts& costs) const {
+        const ScaledAreas areas(node);
+        const int n = table_.bins;
+        alignas(16) float right_cost[max_bins][4];
+        Side right;
+        for (int b = n - 1; b > 0; --b) {
+            add(right, b);
+            hn::Store(cost(right, areas), d, right_cost[b]);
+        }
+        Side left;
+        V least = hn::Inf(d), where = hn::Zero(d);
+        for (int b = 1; b < n; ++b) {
+            add(left, b - 1);
+            const V sum = hn::Add(cost(left, areas), hn::Load(d, right_cost[b]));
+            const auto better = hn::Lt(sum, least);
+            least = hn::IfThenElse(better, sum, least);
+            where = hn::IfThenElse(better, hn::Set(d, float(b)), where);
+        }
+        alignas(16) float sums[4], bins[4];
+        hn::Store(least, d, sums);
+        hn::Store(where, d, bins);
+        ObjectSplit split;
+        float sum = std::numeric_limits<float>::infinity();
+        for (int a = 0; a < 3; ++a)
+            if (binning.splits(a) && sums[a] < sum)
+                sum = sums[a], split.axis = a, split.bin = int(bins[a]);
+        if (split.axis < 0) return split;
         // A flat box of no area is met by no line: any split of it is as good.
-        const double cost = costs.node + (area > 0 ? children / area : 0.0);
-        if (cost < best.cost) best = {cost, axis, int(b)};
+        const float area = areas.of(node);
+        split.cost = costs.node + (area > 0 ? double(sum) / double(area) : 0.0);
+        for (int b = 0; b < n; ++b)
+            split.side[b >= split.bin].extend(table_.bin[b][split.axis].box());
+        return split;
     }
-}
+
+  private:
+    using V = Box4::V;
+    static constexpr Box4::D d{};
+    static constexpr hn::FixedTag<int32_t, 4> d32{};
+    struct Side {
+        Box4 box[3];
+        hn::Vec<hn::FixedTag<int32_t, 4>> count = hn::Zero(hn::FixedTag<int32_t, 4>());
+        V cost = hn::Zero(Box4::D());
+    };
+    void add(Side& side, int b) const {
+        for (int a = 0; a < 3; ++a) side.box[a].extend(table_.bin[b][a].box());
+        side.count =
+            hn::Add(side.count, hn::Load(d32, reinterpret_cast<const int32_t*>(table_.count[b])));
+        if (weighted_) side.cost = hn::Add(side.cost, hn::Load(d, table_.cost[b]));
+    }
+    /// Times area; infinite for none.
+    V cost(const Side& side, const ScaledAreas& areas) const {
+        const V count = hn::ConvertTo(d, side.count);
+        const V leaf = weighted_ ? side.cost
+                                 : hn::Add(hn::Mul(block_, hn::Ceil(hn::Div(count, width_))),
+                                           hn::Mul(shape_, count));
+        const V area = areas.of(side.box[0], side.box[1], side.box[2]);
+        return hn::IfThenElse(hn::Gt(count, hn::Zero(d)), hn::Mul(area, leaf), hn::Inf(d));
+    }
+
+    const BinTable& table_;
+    bool weighted_;
+    V width_, block_, shape_;
+};
 
 /// The best plane between bins of centroids on any axis.
 inline ObjectSplit find_object_split(std::span<const BuildReference> references,
@@ -127,13 +243,10 @@ inline ObjectSplit find_object_split(std::span<const BuildReference> references,
                                      const TreeCosts& costs) {
     const BinTable table =
         sum_chunks<BinTable>(0, references.size(), [&](size_t begin, size_t end) {
-            return BinTable(references.subspan(begin, end - begin), binning, bins);
+            return BinTable(references.subspan(begin, end - begin), binning, bins,
+                            costs.leaf_width == 1);
         });
-    ObjectSplit best;
-    const double area = range.boxes.half_area();
-    for (int a = 0; a < 3; ++a)
-        if (binning.splits(a)) sweep_bins(table.axis[size_t(a)], bins, a, area, costs, best);
-    return best;
+    return BinSweep(table, costs).best(range.boxes, binning, costs);
 }
 
 inline ReferenceBounds bounds_of(std::span<const BuildReference> references) {
@@ -144,9 +257,101 @@ inline ReferenceBounds bounds_of(std::span<const BuildReference> references) {
     });
 }
 
+/// What a division of references has made: the first `left` go left.
+struct Halves {
+    size_t left = 0;
+    ReferenceBounds side[2];
+};
+
+/// Divides references at a plane between bins, without a branch: its outcome could not be guessed.
+/// Bounds only of the centroids.
+inline Halves divide_chunk(std::span<BuildReference> references, const Binning& binning,
+                           const ObjectSplit& split) {
+    const Box4::D d;
+    const hn::RebindToSigned<Box4::D> d32;
+    alignas(16) float bounds[4];
+    std::fill_n(bounds, 4, std::numeric_limits<float>::infinity());
+    bounds[split.axis] = float(split.bin);
+    const auto bound = hn::Load(d, bounds);
+    Box4 left, right;
+    const Box4 none;
+    size_t n = 0;
+    for (BuildReference& r : references) {
+        const StoredReference stored(r);
+        const Box4 box(stored);
+        const auto c = box.centroid2();
+        const bool goes_right = !hn::AllFalse(d, hn::Ge(binning.place(box), bound));
+        const auto mask = hn::MaskFromVec(hn::BitCast(d, hn::Set(d32, -int32_t(goes_right))));
+        left.lower = hn::Min(left.lower, hn::IfThenElse(mask, none.lower, c));
+        left.upper = hn::Max(left.upper, hn::IfThenElse(mask, none.upper, c));
+        right.lower = hn::Min(right.lower, hn::IfThenElse(mask, c, none.lower));
+        right.upper = hn::Max(right.upper, hn::IfThenElse(mask, c, none.upper));
+        StoredReference(references[n]).store(r);
+        stored.store(references[n]);
+        n += !goes_right;
+    }
+    Halves halves;
+    halves.left = n;
+    halves.side[0].centroids = left;
+    halves.side[1].centroids = right;
+    return halves;
+}
+
+/// Swaps what chunks have on the wrong side of all that goes left.
+inline void join_chunks(std::span<BuildReference> references, std::span<const Halves> chunks,
+                        size_t size, size_t left) {
+    const size_t n = references.size();
+    // Of each chunk the right ones in front of `left`, and the left ones behind it.
+    struct Run {
+        size_t begin, end;
+    };
+    std::vector<Run> front, back;
+    for (size_t c = 0; c < chunks.size(); ++c) {
+        const size_t begin = std::min(n, c * size), end = std::min(n, begin + size);
+        const size_t middle = begin + chunks[c].left;
+        if (middle < std::min(end, left)) front.push_back({middle, std::min(end, left)});
+        if (std::max(begin, left) < middle) back.push_back({std::max(begin, left), middle});
+    }
+    auto from = back.begin();
+    for (Run to : front)
+        while (to.begin < to.end) {
+            const size_t k = std::min(to.end - to.begin, from->end - from->begin);
+            const auto at = references.begin() + ptrdiff_t(to.begin);
+            std::swap_ranges(at, at + ptrdiff_t(k), references.begin() + ptrdiff_t(from->begin));
+            to.begin += k;
+            from->begin += k;
+            if (from->begin == from->end) ++from;
+        }
+}
+
+/// Reorders references so that those left of a split come first; in chunks that do not depend on
+/// the number of threads.
+inline Halves divide(std::span<BuildReference> references, const Binning& binning,
+                     const ObjectSplit& split) {
+    const size_t n = references.size(), size = chunk_size(n), chunks = (n + size - 1) / size;
+    std::vector<Halves> parts;
+    Halves whole;
+    if (chunks <= 1) {
+        whole = divide_chunk(references, binning, split);
+    } else {
+        parts.resize(chunks);
+        parallel_for(chunks, 1, [&](size_t from, size_t to) {
+            for (size_t c = from; c < to; ++c)
+                parts[c] = divide_chunk(references.subspan(c * size, std::min(size, n - c * size)),
+                                        binning, split);
+        });
+        for (const Halves& p : parts) {
+            whole.left += p.left;
+            for (int s = 0; s < 2; ++s) whole.side[s].centroids.extend(p.side[s].centroids);
+        }
+        join_chunks(references, parts, size, whole.left);
+    }
+    for (int s = 0; s < 2; ++s) whole.side[s].boxes = split.side[s];
+    return whole;
+}
+
 /// Puts the lower half by count, on the axis where centroids spread most, first.
-/// @return how many these are
-inline size_t halve_references(std::span<BuildReference> references, const ReferenceBounds& range) {
+inline Halves halve_references(std::span<BuildReference> references, const ReferenceBounds& range) {
     const Bounds3 centroids = range.centroids.bounds();
     int axis;
     (centroids.upper - centroids.lower).maxCoeff(&axis);
@@ -157,7 +362,7 @@ inline size_t halve_references(std::span<BuildReference> references, const Refer
                          const float cb = b.bounds.lower[axis] + b.bounds.upper[axis];
                          return ca != cb ? ca < cb : a.shape < b.shape;
                      });
-    return middle;
+    return {middle, {bounds_of(references.first(middle)), bounds_of(references.subspan(middle))}};
 }
 
 }  // namespace crofton

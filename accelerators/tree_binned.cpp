@@ -25,31 +25,37 @@ class BinnedBuilder {
         BinaryTree tree;
         tree.nodes.resize(2 * refs_.size() - 1);
         nodes_ = tree.nodes.data();
-        build_range(0, refs_.size(), 0, 0);
+        build_range(0, refs_.size(), 0, 0, bounds_of(refs_));
         tree.order.resize(refs_.size());
-        for (size_t i = 0; i < refs_.size(); ++i) tree.order[i] = refs_[i].shape;
+        parallel_for(refs_.size(), 1 << 14, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) tree.order[i] = refs_[i].shape;
+        });
         return tree;
     }
 
   private:
     /// A subtree of n references uses at most 2n - 1 nodes from `node` on: a fixed place, whichever
     /// thread builds it.
-    void build_range(size_t begin, size_t end, size_t node, int depth) {
+    void build_range(size_t begin, size_t end, size_t node, int depth,
+                     const ReferenceBounds& range) {
         const size_t n = end - begin;
         const std::span<BuildReference> references(refs_.data() + begin, n);
-        const ReferenceBounds range = bounds_of(references);
         nodes_[node].bounds = range.boxes.bounds();
-        const size_t n_left = n > 1 ? partition(references, range, depth) : 0;
+        Halves halves;
+        if (n > 1) halves = partition(references, range, depth);
+        const size_t n_left = halves.left;
         if (n_left == 0) {
-            nodes_[node].first = uint32_t(begin);
-            nodes_[node].count = uint32_t(n);
+            nodes_[node].make_leaf(begin, n);
             return;
         }
         const size_t middle = begin + n_left, left = node + 1, right = node + 2 * n_left;
-        nodes_[node].left = uint32_t(left);
-        nodes_[node].right = uint32_t(right);
-        const auto build_left = [&] { build_range(begin, middle, left, depth + 1); };
-        const auto build_right = [&] { build_range(middle, end, right, depth + 1); };
+        nodes_[node].make_inner(left, right);
+        const auto build_left = [&] {
+            build_range(begin, middle, left, depth + 1, halves.side[0]);
+        };
+        const auto build_right = [&] {
+            build_range(middle, end, right, depth + 1, halves.side[1]);
+        };
         if (n >= parallel_size) {
             parallel_invoke(build_left, build_right);
         } else {
@@ -58,24 +64,22 @@ class BinnedBuilder {
         }
     }
 
-    /// Reorders the references so that the left child's come first.
-    /// @return how many these are, or 0 for a leaf
-    size_t partition(std::span<BuildReference> references, const ReferenceBounds& range,
+    /// Reorders the references so that the left child's come first; none do for a leaf.
+    Halves partition(std::span<BuildReference> references, const ReferenceBounds& range,
                      int depth) const {
         const size_t n = references.size();
         const bool may_be_leaf = n <= max_leaf_size_;
-        if (bins_ == 0 || depth >= median_depth)
-            return may_be_leaf ? 0 : halve_references(references, range);
-        if (may_be_leaf && is_surely_leaf(references, range)) return 0;
+        const auto halve = [&] {
+            return may_be_leaf ? Halves() : halve_references(references, range);
+        };
+        if (bins_ == 0 || depth >= median_depth) return halve();
+        if (may_be_leaf && is_surely_leaf(references, range)) return {};
         const int bins = bins_for(n, bins_);
         const Binning binning(range.centroids, bins);
         const ObjectSplit split = find_object_split(references, range, binning, bins, costs_);
-        if (split.axis < 0) return may_be_leaf ? 0 : halve_references(references, range);
-        if (may_be_leaf && leaf_cost(references) <= split.cost) return 0;
-        const auto middle = std::partition(
-            references.begin(), references.end(),
-            [&](const BuildReference& r) { return binning.of(r, split.axis) < split.bin; });
-        return size_t(middle - references.begin());
+        if (split.axis < 0) return halve();
+        if (may_be_leaf && leaf_cost(references) <= split.cost) return {};
+        return divide(references, binning, split);
     }
 
     /// Whether no split of what is tested at once anyway can pay: its children are at least as
@@ -149,16 +153,14 @@ class SweepBuilder {
         for (size_t i = begin; i < end; ++i) box.extend(Box4(refs_[sorted_[0][i]]));
         nodes_[node].bounds = box.bounds();
         if (n == 1) {
-            nodes_[node].first = uint32_t(begin);
-            nodes_[node].count = 1;
+            nodes_[node].make_leaf(begin, 1);
             return;
         }
         const Split split = depth < median_depth ? best_split(begin, end) : halve(begin, end);
         partition(begin, end, split);
         const size_t middle = begin + split.left;
         const size_t left = node + 1, right = node + 2 * split.left;
-        nodes_[node].left = uint32_t(left);
-        nodes_[node].right = uint32_t(right);
+        nodes_[node].make_inner(left, right);
         const auto build_left = [&] { build_range(begin, middle, left, depth + 1); };
         const auto build_right = [&] { build_range(middle, end, right, depth + 1); };
         if (n >= parallel_size) {

@@ -9,8 +9,7 @@
 namespace crofton {
 namespace {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
+constexpr int median_depth = 40;        // from here on, halves by count
 constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
 
 struct Key {
@@ -100,26 +99,23 @@ class MortonBuilder {
         tree.order.resize(n);
         nodes_ = tree.nodes.data();
         for (size_t i = 0; i < n; ++i) tree.order[i] = refs_[keys_[i].reference].shape;
-        build_range(0, n, 0);
+        build_range(0, n, 0, 0);
         return tree;
     }
 
   private:
-    /// Recursion is bounded: each level takes one of 63 bits, or halves.
-    void build_range(size_t begin, size_t end, size_t node) {
+    void build_range(size_t begin, size_t end, size_t node, int depth) {
         BinaryTree::Node& out = nodes_[node];
         if (end - begin == 1) {
             out.bounds = refs_[keys_[begin].reference].bounds;
-            out.first = uint32_t(begin);
-            out.count = 1;
+            out.make_leaf(begin, 1);
             return;
         }
-        const size_t middle = split(begin, end);
+        const size_t middle = depth < median_depth ? split(begin, end) : begin + (end - begin) / 2;
         const size_t left = node + 1, right = node + 2 * (middle - begin);
-        out.left = uint32_t(left);
-        out.right = uint32_t(right);
-        const auto build_left = [&] { build_range(begin, middle, left); };
-        const auto build_right = [&] { build_range(middle, end, right); };
+        out.make_inner(left, right);
+        const auto build_left = [&] { build_range(begin, middle, left, depth + 1); };
+        const auto build_right = [&] { build_range(middle, end, right, depth + 1); };
         if (end - begin >= parallel_size) {
             parallel_invoke(build_left, build_right);
         } else {
@@ -162,8 +158,7 @@ class ClusterBuilder {
             const BuildReference& r = refs_[keys[i].reference];
             BinaryTree::Node& leaf = tree_.nodes[n - 1 + i];
             leaf.bounds = r.bounds;
-            leaf.first = uint32_t(i);
-            leaf.count = 1;
+            leaf.make_leaf(i, 1);
             tree_.order[i] = r.shape;
             clusters_[i] = {r.bounds, uint32_t(n - 1 + i), 0};
         }
@@ -253,8 +248,7 @@ class ClusterBuilder {
         const uint32_t node = uint32_t(--next_inner_);
         BinaryTree::Node& out = tree_.nodes[node];
         out.bounds = merge(a.bounds, b.bounds);
-        out.left = a.shape;
-        out.right = b.shape;
+        out.make_inner(a.shape, b.shape);
         return {out.bounds, node, 0};
     }
 

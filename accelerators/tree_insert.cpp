@@ -36,8 +36,7 @@ class Inserter {
 
     void insert(uint32_t reference) {
         const uint32_t leaf = add_node(refs_[reference].bounds);
-        tree_.nodes[leaf].first = reference;
-        tree_.nodes[leaf].count = 1;
+        tree_.nodes[leaf].make_leaf(reference, 1);
         if (leaf == 0) return;
         // The node that the new leaf becomes the sibling of keeps its place in its parent: it is
         // moved to a new index, and its old one becomes the parent of both.
@@ -46,9 +45,7 @@ class Inserter {
         tree_.nodes.push_back(tree_.nodes[at]);
         BinaryTree::Node& parent = tree_.nodes[at];
         parent.bounds.extend(refs_[reference].bounds);
-        parent.left = old;
-        parent.right = leaf;
-        parent.first = parent.count = 0;
+        parent.make_inner(old, leaf);
     }
     BinaryTree take() { return std::move(tree_); }
 

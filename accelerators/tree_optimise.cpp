@@ -8,8 +8,6 @@
 namespace crofton {
 namespace {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
 constexpr uint32_t none = ~0u;
 constexpr size_t least_candidates = 1024;
 constexpr int batches = 8;             // of a pass; each sees what the ones before have moved

@@ -10,8 +10,6 @@
 namespace crofton {
 namespace {
 
-namespace hn = hwy::HWY_NAMESPACE;
-
 constexpr int median_depth = 40;        // from here on, halves by count
 constexpr size_t parallel_size = 2048;  // fewer references are not worth a task
 constexpr size_t least_split = 4;       // fewer references are not cut
@@ -112,8 +110,7 @@ class SplitBuilder {
         const ReferenceBounds bounds = bounds_of(references(range));
         nodes_[node].bounds = bounds.boxes.bounds();
         if (range.size() == 1) {
-            nodes_[node].first = uint32_t(range.begin);
-            nodes_[node].count = 1;
+            nodes_[node].make_leaf(range.begin, 1);
             // A part has the slack of its triangle.
             if (triangles_)
                 nodes_[node].bounds =
@@ -129,8 +126,7 @@ class SplitBuilder {
         std::copy_backward(refs_.begin() + ptrdiff_t(middle), refs_.begin() + ptrdiff_t(range.end),
                            refs_.begin() + ptrdiff_t(range.end + share));
         const size_t left = node + 1, right = node + 2 * (n_left + share);
-        nodes_[node].left = uint32_t(left);
-        nodes_[node].right = uint32_t(right);
+        nodes_[node].make_inner(left, right);
         const auto build_left = [&] {
             build_range({range.begin, middle, right_begin}, left, depth + 1);
         };
@@ -150,30 +146,23 @@ class SplitBuilder {
     /// @return how many go left: not 0, and not all
     size_t partition(Range& range, const ReferenceBounds& bounds, const Bounds3& box, int depth) {
         const std::span<BuildReference> all = references(range);
-        if (depth >= median_depth) return halve_references(all, bounds);
+        if (depth >= median_depth) return halve_references(all, bounds).left;
         const int bins = bins_for(all.size(), bins_);
         const Binning binning(bounds.centroids, bins);
         const ObjectSplit split = find_object_split(all, bounds, binning, bins, costs_);
-        if (all.size() >= least_split && range.room() > 0 &&
-            (split.axis < 0 || overlaps(all, binning, split))) {
+        if (all.size() >= least_split && range.room() > 0 && (split.axis < 0 || overlaps(split))) {
             const SpatialSplit spatial = find_spatial_split(all, box);
             if (spatial.cost < split.cost)
                 if (const size_t n = cut(range, spatial)) return n;
         }
-        if (split.axis < 0) return halve_references(all, bounds);
-        const auto middle = std::partition(all.begin(), all.end(), [&](const BuildReference& r) {
-            return binning.of(r, split.axis) < split.bin;
-        });
-        return size_t(middle - all.begin());
+        if (split.axis < 0) return halve_references(all, bounds).left;
+        return divide(all, binning, split).left;
     }
 
     /// Whether the children of a split overlap by more than the given share of the root.
-    bool overlaps(std::span<const BuildReference> all, const Binning& binning,
-                  const ObjectSplit& split) const {
-        Box4 side[2];
-        for (const BuildReference& r : all)
-            side[binning.of(r, split.axis) >= split.bin].extend(Box4(r));
-        return half_area(intersection(side[0].bounds(), side[1].bounds())) > overlap_ * root_area_;
+    bool overlaps(const ObjectSplit& split) const {
+        return half_area(intersection(split.side[0].bounds(), split.side[1].bounds())) >
+               overlap_ * root_area_;
     }
 
     SpatialSplit find_spatial_split(std::span<const BuildReference> all, const Bounds3& box) const {

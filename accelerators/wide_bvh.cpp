@@ -269,13 +269,27 @@ void clear(WideNode& node) {
     }
 }
 
+/// The children of a wide node in the making.
+struct WideChildren {
+    std::array<Bounds3, 8> bounds;
+    std::array<uint32_t, 8> child;  ///< WideChild
+    size_t count = 0;
+};
+
+void set_node(WideNode& node, const WideChildren& children) {
+    clear(node);
+    for (size_t i = 0; i < children.count; ++i) set_child(node, int(i), children.bounds[i]);
+    std::copy_n(children.child.begin(), children.count, node.child);
+}
+
 /// Bytes that contain each child with a hundredth of a step to spare, for the rounding of
 /// traversal.
-void quantise(QuantisedNode& node, const std::vector<Bounds3>& children) {
+void set_node(QuantisedNode& node, const WideChildren& children) {
     Bounds3 whole;
-    for (const Bounds3& b : children) whole.extend(b);
+    for (size_t i = 0; i < children.count; ++i) whole.extend(children.bounds[i]);
     node = {};
-    node.children = uint32_t(children.size());
+    node.children = uint32_t(children.count);
+    std::copy_n(children.child.begin(), children.count, node.child);
     for (int a = 0; a < 3; ++a) {
         const double extent = double(whole.upper[a]) - whole.lower[a];
         // One step to spare at each end; at least the spacing of floats there.
@@ -283,90 +297,151 @@ void quantise(QuantisedNode& node, const std::vector<Bounds3>& children) {
                                        double(std::numeric_limits<float>::min())});
         node.scale[a] = float(scale * (1 + 1e-6));
         node.origin[a] = float(double(whole.lower[a]) - node.scale[a]);
-        for (size_t i = 0; i < children.size(); ++i) {
-            const double lo =
-                (double(children[i].lower[a]) - node.origin[a]) / node.scale[a] - 0.01;
-            const double hi =
-                (double(children[i].upper[a]) - node.origin[a]) / node.scale[a] + 0.01;
+        for (size_t i = 0; i < children.count; ++i) {
+            const Bounds3& b = children.bounds[i];
+            const double lo = (double(b.lower[a]) - node.origin[a]) / node.scale[a] - 0.01;
+            const double hi = (double(b.upper[a]) - node.origin[a]) / node.scale[a] + 0.01;
             node.planes[0][a][i] = uint8_t(std::clamp(std::floor(lo), 0.0, 255.0));
             node.planes[1][a][i] = uint8_t(std::clamp(std::ceil(hi), 0.0, 255.0));
         }
     }
 }
 
-/// Writes a binary tree as wide nodes, depth first.
-template <class Set>
+/// Writes a binary tree as wide nodes: first it is measured what every subtree takes, then each is
+/// written where it belongs, near the root of a large tree those of one node at once.
+template <class Set, class Node>
 class WideWriter {
   public:
-    WideWriter(WideBvh<Set>& bvh, const BinaryTree& tree, const WideCollapse& collapse,
-               const Set& set)
-        : bvh_(bvh), tree_(tree), collapse_(collapse), set_(set) {}
+    WideWriter(WideBvh<Set>& bvh, RawAlignedVector<Node>& nodes, const BinaryTree& tree,
+               const WideCollapse& collapse, const Set& set)
+        : leaves_(bvh.leaves),
+          stats_(bvh.stats),
+          nodes_(nodes),
+          tree_(tree),
+          collapse_(collapse),
+          set_(set),
+          parallel_levels_(parallel_levels(tree.nodes.size()) / 2),
+          sizes_(tree.nodes.size()) {}
 
     void write() {
-        struct Open {
-            uint32_t from, to, depth;
-        };
-        std::vector<Open> open{{0, add_node(), 0}};
-        while (!open.empty()) {
-            const Open o = open.back();
-            open.pop_back();
-            ++bvh_.stats.N_IN;
-            const std::vector<uint32_t> children = collapse_.children(o.from);
-            std::vector<Bounds3> bounds;
-            uint32_t child[8];
-            for (size_t i = 0; i < children.size(); ++i) {
-                const BinaryTree::Node& node = tree_.nodes[children[i]];
-                bounds.push_back(node.bounds);
-                if (node.leaf()) {
-                    child[i] = add_leaf(node, o.depth + 1);
-                } else {
-                    const uint32_t index = add_node();
-                    child[i] = bvh_.format == WideNodes::full ? place_of<WideNode>(index)
-                                                              : place_of<QuantisedNode>(index);
-                    open.push_back({children[i], index, o.depth + 1});
-                }
-            }
-            set_node(o.to, bounds, child);
-        }
+        const Size all = measure(0, 0);
+        if (all.blocks >= WideChild::max_first)
+            throw InputError("wide_bvh: more leaves than 2^26; use bvh");
+        stats_.N_IN = all.nodes + 1;
+        stats_.N_V = all.leaves;
+        stats_.N_OIV = all.shapes;
+        stats_.depth = all.height;
+        nodes_.resize(all.nodes + 1);
+        if constexpr (triangles)
+            leaves_.resize(all.blocks, all.shapes);
+        else
+            leaves_.resize(all.shapes);
+        write(0, 0, {1, 0, 0}, 0);
     }
 
   private:
-    uint32_t add_node() {
-        if (bvh_.format == WideNodes::full) {
-            bvh_.nodes.emplace_back();
-            return uint32_t(bvh_.nodes.size() - 1);
+    static constexpr bool triangles = std::is_same_v<Set, TriangleSet>;
+    /// Below a wide node. Blocks are patches or references.
+    struct Size {
+        uint32_t nodes, blocks, shapes, leaves, height;
+    };
+    /// Where the next node, block and shape go.
+    struct Place {
+        uint32_t node, block, shape;
+        void skip(const Size& s) {
+            node += s.nodes;
+            block += s.blocks;
+            shape += s.shapes;
         }
-        bvh_.quantised.emplace_back();
-        return uint32_t(bvh_.quantised.size() - 1);
+    };
+
+    static uint32_t blocks(const BinaryTree::Node& leaf) {
+        return triangles ? leaf.blocks() : leaf.count;
     }
-    uint32_t add_leaf(const BinaryTree::Node& node, uint32_t depth) {
-        const uint32_t first = bvh_.leaves.add(
-            set_, std::span<const uint32_t>(tree_.order.data() + node.first, node.count));
-        if (first >= WideChild::max_first)
-            throw InputError("wide_bvh: more leaves than 2^26; use bvh");
-        uint32_t count = node.count;
-        if constexpr (std::is_same_v<Set, TriangleSet>) count = bvh_.leaves.size() - first;
-        ++bvh_.stats.N_V;
-        bvh_.stats.N_OIV += node.count;
-        bvh_.stats.depth = std::max(bvh_.stats.depth, depth);
-        return WideChild::leaf(first, count);
+    std::span<const uint32_t> shapes(const BinaryTree::Node& leaf) const {
+        return {tree_.order.data() + leaf.first, leaf.count};
     }
-    void set_node(uint32_t index, const std::vector<Bounds3>& bounds, const uint32_t* child) {
-        if (bvh_.format == WideNodes::full) {
-            WideNode& node = bvh_.nodes[index];
-            clear(node);
-            for (size_t i = 0; i < bounds.size(); ++i) set_child(node, int(i), bounds[i]);
-            std::copy(child, child + bounds.size(), node.child);
-        } else {
-            quantise(bvh_.quantised[index], bounds);
-            std::copy(child, child + bounds.size(), bvh_.quantised[index].child);
-        }
+    template <class Body>
+    void for_each(size_t n, int depth, const Body& body) const {
+        if (depth < parallel_levels_)
+            return parallel_for(n, 1, [&](size_t begin, size_t end) {
+                for (size_t i = begin; i < end; ++i) body(i);
+            });
+        for (size_t i = 0; i < n; ++i) body(i);
     }
 
-    WideBvh<Set>& bvh_;
+    /// Recursion is as deep as the tree, which is bounded.
+    Size measure(uint32_t n, int depth) {
+        const WideCollapse::Children children = collapse_.children(n);
+        std::array<Size, 8> sizes;
+        for_each(children.count, depth, [&](size_t i) {
+            const BinaryTree::Node& node = tree_.nodes[children.node[i]];
+            if (node.leaf()) {
+                sizes[i] = {0, blocks(node), node.count, 1, 1};
+            } else {
+                sizes[i] = measure(children.node[i], depth + 1);
+                ++sizes[i].nodes;
+                ++sizes[i].height;
+            }
+        });
+        Size sum{};
+        for (size_t i = 0; i < children.count; ++i) {
+            sum.nodes += sizes[i].nodes;
+            sum.blocks += sizes[i].blocks;
+            sum.shapes += sizes[i].shapes;
+            sum.leaves += sizes[i].leaves;
+            sum.height = std::max(sum.height, sizes[i].height);
+        }
+        return sizes_[n] = sum;
+    }
+
+    /// A node's leaves come first and its children side by side, then their subtrees.
+    /// @param to     of the node itself
+    /// @param place  of all below it
+    void write(uint32_t n, uint32_t to, Place place, int depth) {
+        const WideCollapse::Children children = collapse_.children(n);
+        WideChildren list;
+        struct Subtree {
+            uint32_t from, to;
+            Place place;
+        };
+        std::array<Subtree, 8> subtrees;
+        size_t inner = 0;
+        for (const uint32_t c : children) {
+            const BinaryTree::Node& node = tree_.nodes[c];
+            list.bounds[list.count] = node.bounds;
+            uint32_t& child = list.child[list.count++];
+            if (node.leaf()) {
+                child = WideChild::leaf(place.block, blocks(node));
+                if constexpr (triangles)
+                    leaves_.put(set_, shapes(node), place.block, place.shape);
+                else
+                    leaves_.put(shapes(node), place.block);
+                place.block += blocks(node);
+                place.shape += node.count;
+            } else {
+                child = place_of<Node>(place.node);
+                subtrees[inner++] = {c, place.node++, {}};
+            }
+        }
+        set_node(nodes_[to], list);
+        for (size_t i = 0; i < inner; ++i) {
+            subtrees[i].place = place;
+            place.skip(sizes_[subtrees[i].from]);
+        }
+        for_each(inner, depth, [&](size_t i) {
+            write(subtrees[i].from, subtrees[i].to, subtrees[i].place, depth + 1);
+        });
+    }
+
+    WideLeaves<Set>& leaves_;
+    StructureStatistics& stats_;
+    RawAlignedVector<Node>& nodes_;
     const BinaryTree& tree_;
     const WideCollapse& collapse_;
     const Set& set_;
+    int parallel_levels_;
+    RawVector<Size> sizes_;  // of what becomes a wide node
 };
 
 template <class Set, class Node>
@@ -426,10 +501,10 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
     // A wide node costs about as much as four of its binary nodes: it has up to seven.
     const WideCollapse collapse(tree, costs, 4 * cost_constants.wide_node, shape_costs(set, costs));
     bvh.cost = collapse.expected_cost();
-    WideWriter<Set>(bvh, tree, collapse, set).write();
-    bvh.nodes.shrink_to_fit();
-    bvh.quantised.shrink_to_fit();
-    if constexpr (std::is_same_v<Set, TriangleSet>) bvh.leaves.shrink();
+    if (bvh.format == WideNodes::full)
+        WideWriter(bvh, bvh.nodes, tree, collapse, set).write();
+    else
+        WideWriter(bvh, bvh.quantised, tree, collapse, set).write();
     bvh.stats.bytes = bvh.nodes.size() * sizeof(WideNode) +
                       bvh.quantised.size() * sizeof(QuantisedNode) + bvh.leaves.bytes();
     return bvh;

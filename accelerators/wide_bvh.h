@@ -96,8 +96,8 @@ struct WideBvh {
     static constexpr int max_depth = BinaryTree::max_depth;  ///< of the binary tree, and so of this
 
     WideNodes format = WideNodes::full;
-    AlignedVector<WideNode> nodes;           ///< format full: the root first
-    AlignedVector<QuantisedNode> quantised;  ///< format quantised
+    RawAlignedVector<WideNode> nodes;           ///< format full: the root first
+    RawAlignedVector<QuantisedNode> quantised;  ///< format quantised
     WideLeaves<Set> leaves;
     Bounds3 box;
     double cost = 0;

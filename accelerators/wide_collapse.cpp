@@ -1,7 +1,5 @@
 #include "accelerators/wide_collapse.h"
 
-#include <limits>
-
 namespace crofton {
 namespace {
 
@@ -21,59 +19,92 @@ uint8_t best_share(const Costs& left, const Costs& right, int k, double& cost) {
 
 }  // namespace
 
-WideCollapse::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
-                           std::span<const float> cost_of_shape)
-    : tree_(tree), plans_(tree.nodes.size()) {
-    std::vector<Costs> least(tree.nodes.size());
-    for (size_t n = tree.nodes.size(); n-- > 0;) {
-        const BinaryTree::Node& node = tree.nodes[n];
+/// Plans a subtree after its children, the two at once near the root of a large tree. Recursion is
+/// as deep as the tree, which is bounded.
+class WidePlanner {
+  public:
+    WidePlanner(WideCollapse& collapse, const TreeCosts& costs, double wide_node,
+                std::span<const float> cost_of_shape)
+        : tree_(collapse.tree_),
+          plans_(collapse.plans_),
+          costs_(costs),
+          wide_node_(wide_node),
+          cost_of_shape_(cost_of_shape),
+          parallel_levels_(parallel_levels(tree_.nodes.size())) {}
+
+    void plan(uint32_t n, int depth, Costs& c) {
+        const BinaryTree::Node& node = tree_.nodes[n];
         const double area = half_area(node.bounds);
-        Costs& c = least[n];
         if (node.leaf()) {
-            double shapes = 0;
-            if (costs.leaf_width == 1)
-                for (uint32_t i = 0; i < node.count; ++i)
-                    shapes += cost_of_shape[tree.order[node.first + i]];
-            c.fill(area *
-                   costs.leaf(shapes, std::span(tree.order).subspan(node.first, node.count)));
-            continue;
+            c.fill(area * leaf(node));
+            return;
         }
-        const Costs &left = least[node.left], &right = least[node.right];
-        for (int k = width; k >= 2; --k) {
+        Costs left, right;
+        invoke_both(
+            depth < parallel_levels_, [&] { plan(node.left, depth + 1, left); },
+            [&] { plan(node.right, depth + 1, right); });
+        WideCollapse::Plan& p = plans_[n];
+        for (int k = WideCollapse::width; k >= 2; --k) {
             double shared;
-            plans_[n][size_t(k)] = best_share(left, right, k, shared);
-            if (k == width) c[1] = area * wide_node + shared;
+            p[size_t(k)] = best_share(left, right, k, shared);
+            if (k == WideCollapse::width) c[1] = area * wide_node_ + shared;
             c[size_t(k)] = shared;
             if (c[1] < shared) {
                 c[size_t(k)] = c[1];
-                plans_[n][size_t(k)] |= own_node;
+                p[size_t(k)] |= WideCollapse::own_node;
             }
         }
     }
+
+  private:
+    double leaf(const BinaryTree::Node& node) const {
+        double shapes = 0;
+        if (costs_.leaf_width == 1)
+            for (uint32_t i = 0; i < node.count; ++i)
+                shapes += cost_of_shape_[tree_.order[node.first + i]];
+        return costs_.finished_leaf(shapes, node);
+    }
+
+    const BinaryTree& tree_;
+    RawVector<WideCollapse::Plan>& plans_;
+    const TreeCosts& costs_;
+    double wide_node_;
+    std::span<const float> cost_of_shape_;
+    int parallel_levels_;
+};
+
+WideCollapse::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
+                           std::span<const float> cost_of_shape)
+    : tree_(tree), plans_(tree.nodes.size()) {
+    Costs root;
+    WidePlanner(*this, costs, wide_node, cost_of_shape).plan(0, 0, root);
     const double area = half_area(tree.nodes[0].bounds);
-    if (area > 0) expected_cost_ = least[0][1] / area;
+    if (area > 0) expected_cost_ = root[1] / area;
 }
 
-std::vector<uint32_t> WideCollapse::children(uint32_t root) const {
-    if (tree_.nodes[root].leaf()) return {root};
+WideCollapse::Children WideCollapse::children(uint32_t root) const {
+    Children list;
+    if (tree_.nodes[root].leaf()) {
+        list.node[list.count++] = root;
+        return list;
+    }
     struct Open {
         uint32_t node;
         int slots;
     };
-    std::vector<uint32_t> list;
-    std::vector<Open> open{{root, width}};
-    while (!open.empty()) {
-        const auto [n, slots] = open.back();
-        open.pop_back();
+    std::array<Open, width> open;
+    size_t left_open = 0;
+    open[left_open++] = {root, width};
+    while (left_open > 0) {
+        const auto [n, slots] = open[--left_open];
         const BinaryTree::Node& node = tree_.nodes[n];
-        const uint8_t plan = plans_[n][size_t(slots)];
-        if (n != root && (node.leaf() || slots == 1 || (plan & own_node))) {
-            list.push_back(n);
+        if (n != root && (slots == 1 || node.leaf() || (plans_[n][size_t(slots)] & own_node))) {
+            list.node[list.count++] = n;
             continue;
         }
-        const int left = plan & ~own_node;
-        open.push_back({node.right, slots - left});
-        open.push_back({node.left, left});
+        const int left = plans_[n][size_t(slots)] & ~own_node;
+        open[left_open++] = {node.right, slots - left};
+        open[left_open++] = {node.left, left};
     }
     return list;
 }

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <array>
-#include <vector>
 
 #include "accelerators/binary_tree.h"
 
@@ -15,6 +14,14 @@ class WideCollapse {
   public:
     static constexpr int width = 8;
 
+    /// Nodes of the binary tree.
+    struct Children {
+        std::array<uint32_t, width> node;
+        uint32_t count = 0;
+        const uint32_t* begin() const { return node.data(); }
+        const uint32_t* end() const { return node.data() + count; }
+    };
+
     /// @param tree       children after their parents, as collapse_leaves leaves it; not empty;
     /// must
     ///                   outlive this
@@ -22,9 +29,8 @@ class WideCollapse {
     WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
                  std::span<const float> cost_of_shape);
 
-    /// Children of the wide node that stands for an inner node: 2 to 8 nodes of the binary tree. Of
-    /// a leaf, itself.
-    std::vector<uint32_t> children(uint32_t node) const;
+    /// Children of the wide node that stands for an inner node: 2 to 8. Of a leaf, itself.
+    Children children(uint32_t node) const;
 
     /// Nominal ns of a random line that meets the root.
     double expected_cost() const { return expected_cost_; }
@@ -36,8 +42,10 @@ class WideCollapse {
     static constexpr uint8_t own_node = 0x80;
 
     const BinaryTree& tree_;
-    std::vector<Plan> plans_;
+    RawVector<Plan> plans_;
     double expected_cost_ = 0;
+
+    friend class WidePlanner;
 };
 
 }  // namespace crofton

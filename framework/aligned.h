@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdlib>
+#include <memory>
 #include <new>
 #include <vector>
 
@@ -32,5 +33,28 @@ T* CacheLineAllocator<T>::allocate(size_t n) {
 
 template <class T>
 using AlignedVector = std::vector<T, CacheLineAllocator<T>>;
+
+/// Leaves new elements of a vector undefined, to be written by many threads at once; for types that
+/// need no constructor.
+template <class T, class Base>
+struct RawAllocator : Base {
+    template <class U>
+    struct rebind {
+        using other = RawAllocator<U, typename std::allocator_traits<Base>::template rebind_alloc<U>>;
+    };
+    RawAllocator() = default;
+    template <class U, class B>
+    RawAllocator(const RawAllocator<U, B>&) {}
+    template <class U>
+    void construct(U*) noexcept {}
+    template <class U, class... Arguments>
+    void construct(U* p, Arguments&&... arguments) {
+        ::new (static_cast<void*>(p)) U(std::forward<Arguments>(arguments)...);
+    }
+};
+template <class T>
+using RawVector = std::vector<T, RawAllocator<T, std::allocator<T>>>;
+template <class T>
+using RawAlignedVector = std::vector<T, RawAllocator<T, CacheLineAllocator<T>>>;
 
 }  // namespace crofton

@@ -34,7 +34,12 @@ class TrianglePatches {
   public:
     /// Appends a leaf. @return its first patch; the others follow
     uint32_t add(const TriangleSet& set, std::span<const uint32_t> shapes);
-    /// How many patches `add` would make.
+    /// Makes room; `put` fills it, in any order.
+    void resize(size_t patches, size_t ids);
+    /// Writes a leaf: as many patches as `count_patches` says and an id for each shape.
+    void put(const TriangleSet& set, std::span<const uint32_t> shapes, uint32_t first_patch,
+             uint32_t first_id);
+    /// How many patches some shapes fill.
     static uint32_t count_patches(const TriangleSet& set, std::span<const uint32_t> shapes);
     template <class A>
     void archive(A& a) {
@@ -46,16 +51,11 @@ class TrianglePatches {
     uint64_t bytes() const {
         return patches_.size() * sizeof(TrianglePatch) + ids_.size() * sizeof(uint32_t);
     }
-    /// Gives back what vectors keep for growth.
-    void shrink() {
-        patches_.shrink_to_fit();
-        ids_.shrink_to_fit();
-    }
     static constexpr bool keeps_set = false;  ///< the set itself is not read in traversal
 
   private:
-    AlignedVector<TrianglePatch> patches_;
-    AlignedVector<uint32_t> ids_;
+    RawAlignedVector<TrianglePatch> patches_;
+    RawAlignedVector<uint32_t> ids_;
 };
 
 }  // namespace crofton
