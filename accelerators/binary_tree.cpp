@@ -214,7 +214,10 @@ BinaryTree run_builder(std::vector<BuildReference> references, const ShapeClippe
         case TreeBuilder::ploc:
             return build_clustered(std::move(references), p.ploc_radius);
         case TreeBuilder::lbvh:
-            return build_morton(std::move(references));
+            // What is tested at once anyway.
+            return build_morton(
+                std::move(references),
+                p.reinsertion > 0 ? 1 : std::min(p.max_leaf_size, std::max(1, costs.leaf_width)));
         case TreeBuilder::insertion:
             return build_inserted(std::move(references), p.insertion_order);
         case TreeBuilder::binned_sah:
@@ -227,13 +230,14 @@ BinaryTree run_builder(std::vector<BuildReference> references, const ShapeClippe
 
 }  // namespace
 
-void limit_depth(BinaryTree& tree) {
-    if (tree.empty() || !is_too_deep(tree)) return;
+bool limit_depth(BinaryTree& tree) {
+    if (tree.empty() || !is_too_deep(tree)) return false;
     const Levels levels(tree);
     for (const uint32_t i : levels.parents_first)
         if (levels.depth[i] == uint32_t(rebuild_depth) &&
             levels.height[i] > uint32_t(BinaryTree::max_depth - rebuild_depth))
             Rebalance(tree, i);
+    return true;
 }
 
 void collapse_leaves(BinaryTree& tree, const TreeCosts& costs, std::span<const float> cost_of_shape,

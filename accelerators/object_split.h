@@ -80,19 +80,22 @@ struct BinTable {
     alignas(16) uint32_t count[max_bins][4];  // likewise
     alignas(16) float cost[max_bins][4];      // likewise, where references weigh differently
     int bins;
+    bool weighted;
 
     BinTable(std::span<const BuildReference> references, const Binning& binning, int n,
-             bool weighted)
-        : bins(n) {
+             bool by_cost)
+        : bins(n), weighted(by_cost) {
         namespace hn = hwy::HWY_NAMESPACE;
         const Box4 none;
-        for (int b = 0; b < n; ++b)
-            for (int a = 0; a < 4; ++a) {
+        for (int b = 0; b < n; ++b) {
+            for (int a = 0; a < 3; ++a) {
                 hn::Store(none.lower, Box4::D(), bin[b][a].lower);
                 hn::Store(none.upper, Box4::D(), bin[b][a].upper);
-                count[b][a] = 0;
-                cost[b][a] = 0;
             }
+            std::fill_n(count[b], 4, 0u);
+        }
+        if (weighted)
+            for (int b = 0; b < n; ++b) std::fill_n(cost[b], 4, 0.0f);
         if (weighted)
             fill<true>(references, binning);
         else
@@ -104,12 +107,12 @@ struct BinTable {
             for (int a = 0; a < 3; ++a) {
                 bin[b][a].extend(t.bin[b][a].box());
                 count[b][a] += t.count[b][a];
-                cost[b][a] += t.cost[b][a];
+                if (weighted) cost[b][a] += t.cost[b][a];
             }
     }
 
   private:
-    template <bool weighted>
+    template <bool by_cost>
     void fill(std::span<const BuildReference> references, const Binning& binning) {
         for (const BuildReference& r : references) {
             const Box4 box(r);
@@ -118,7 +121,7 @@ struct BinTable {
             for (int a = 0; a < 3; ++a) {
                 bin[place[a]][a].extend(box);
                 ++count[place[a]][a];
-                if constexpr (weighted) cost[place[a]][a] += r.cost;
+                if constexpr (by_cost) cost[place[a]][a] += r.cost;
             }
         }
     }
@@ -161,30 +164,42 @@ struct ObjectSplit {
     Box4 side[2];                                           ///< boxes of the children
 };
 
+/// Bins or slabs of all axes: what is left of a plane, and what is right of it, may be counted in
+/// different ones.
+struct BinRows {
+    using Counts = const uint32_t (*)[4];
+    using Costs = const float (*)[4];
+    const BinTable::Bin (*bin)[4];
+    Counts left_count, right_count;
+    Costs left_cost, right_cost;
+    int bins;
+};
+
 /// The best of all planes between bins.
 class BinSweep {
   public:
-    BinSweep(const BinTable& table, const TreeCosts& costs)
-        : table_(table),
+    BinSweep(const BinRows& rows, const TreeCosts& costs)
+        : rows_(rows),
           weighted_(costs.leaf_width == 1),
           width_(hn::Set(d, float(costs.leaf_width))),
           block_(hn::Set(d, float(costs.leaf_block))),
           shape_(hn::Set(d, float(costs.leaf_shape))) {}
 
-    /// @param node  box of all references
-    ObjectSplit best(const Box4& node, const Binning& binning, const TreeCosts& costs) const {
+    /// @param node    box of all references
+    /// @param usable  axes
+    ObjectSplit best(const Box4& node, const bool (&usable)[3], const TreeCosts& costs) const {
         const ScaledAreas areas(node);
-        const int n = table_.bins;
+        const int n = rows_.bins;
         alignas(16) float right_cost[max_bins][4];
         Side right;
         for (int b = n - 1; b > 0; --b) {
-            add(right, b);
+            add(right, b, rows_.right_count, rows_.right_cost);
             hn::Store(cost(right, areas), d, right_cost[b]);
         }
         Side left;
         V least = hn::Inf(d), where = hn::Zero(d);
         for (int b = 1; b < n; ++b) {
-            add(left, b - 1);
+            add(left, b - 1, rows_.left_count, rows_.left_cost);
             const V sum = hn::Add(cost(left, areas), hn::Load(d, right_cost[b]));
             const auto better = hn::Lt(sum, least);
             least = hn::IfThenElse(better, sum, least);
@@ -196,14 +211,13 @@ class BinSweep {
         ObjectSplit split;
         float sum = std::numeric_limits<float>::infinity();
         for (int a = 0; a < 3; ++a)
-            if (binning.splits(a) && sums[a] < sum)
-                sum = sums[a], split.axis = a, split.bin = int(bins[a]);
+            if (usable[a] && sums[a] < sum) sum = sums[a], split.axis = a, split.bin = int(bins[a]);
         if (split.axis < 0) return split;
         // A flat box of no area is met by no line: any split of it is as good.
         const float area = areas.of(node);
         split.cost = costs.node + (area > 0 ? double(sum) / double(area) : 0.0);
         for (int b = 0; b < n; ++b)
-            split.side[b >= split.bin].extend(table_.bin[b][split.axis].box());
+            split.side[b >= split.bin].extend(rows_.bin[b][split.axis].box());
         return split;
     }
 
@@ -216,11 +230,10 @@ class BinSweep {
         hn::Vec<hn::FixedTag<int32_t, 4>> count = hn::Zero(hn::FixedTag<int32_t, 4>());
         V cost = hn::Zero(Box4::D());
     };
-    void add(Side& side, int b) const {
-        for (int a = 0; a < 3; ++a) side.box[a].extend(table_.bin[b][a].box());
-        side.count =
-            hn::Add(side.count, hn::Load(d32, reinterpret_cast<const int32_t*>(table_.count[b])));
-        if (weighted_) side.cost = hn::Add(side.cost, hn::Load(d, table_.cost[b]));
+    void add(Side& side, int b, BinRows::Counts count, BinRows::Costs cost) const {
+        for (int a = 0; a < 3; ++a) side.box[a].extend(rows_.bin[b][a].box());
+        side.count = hn::Add(side.count, hn::Load(d32, reinterpret_cast<const int32_t*>(count[b])));
+        if (weighted_) side.cost = hn::Add(side.cost, hn::Load(d, cost[b]));
     }
     /// Times area; infinite for none.
     V cost(const Side& side, const ScaledAreas& areas) const {
@@ -232,7 +245,7 @@ class BinSweep {
         return hn::IfThenElse(hn::Gt(count, hn::Zero(d)), hn::Mul(area, leaf), hn::Inf(d));
     }
 
-    const BinTable& table_;
+    BinRows rows_;
     bool weighted_;
     V width_, block_, shape_;
 };
@@ -246,7 +259,9 @@ inline ObjectSplit find_object_split(std::span<const BuildReference> references,
             return BinTable(references.subspan(begin, end - begin), binning, bins,
                             costs.leaf_width == 1);
         });
-    return BinSweep(table, costs).best(range.boxes, binning, costs);
+    const BinRows rows{table.bin, table.count, table.count, table.cost, table.cost, bins};
+    const bool usable[3] = {binning.splits(0), binning.splits(1), binning.splits(2)};
+    return BinSweep(rows, costs).best(range.boxes, usable, costs);
 }
 
 inline ReferenceBounds bounds_of(std::span<const BuildReference> references) {

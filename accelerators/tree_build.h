@@ -105,7 +105,8 @@ BinaryTree build_split(std::vector<BuildReference> references, const ShapeClippe
 
 /// Splits at the highest bit of Morton codes that differs (Lauterbach et al. 2009: "Fast BVH
 /// construction on GPUs").
-BinaryTree build_morton(std::vector<BuildReference> references);
+/// @param leaf_size  of as many references no more nodes are made
+BinaryTree build_morton(std::vector<BuildReference> references, int leaf_size);
 
 /// Parallel locally-ordered clustering (Meister & Bittner 2018), bottom up: neighbours in Morton
 /// order that are each other's nearest, of `radius` on either side, become one cluster.
@@ -123,7 +124,8 @@ std::vector<uint32_t> morton_order(const std::vector<BuildReference>& references
 /// @{
 
 /// Rebuilds what is deeper than BinaryTree::max_depth: below level 40 as halves by centroid.
-void limit_depth(BinaryTree& tree);
+/// @return whether there was any
+bool limit_depth(BinaryTree& tree);
 
 /// Moves subtrees to where the sum of areas falls most, pass after pass (Bittner, Hapala, Havran
 /// 2013: "Fast insertion-based optimization of bounding volume hierarchies"; Meister & Bittner

@@ -26,7 +26,34 @@ uint64_t spread(uint64_t x) {
     return (x | x << 2) & 0x1249249249249249ull;
 }
 
-/// Stable, by 11 bits at a time; in parallel by chunks that do not depend on the threads.
+constexpr int sorted_bit = 30;  // bits from here on are sorted by digits
+
+/// Sorts each run of keys that are equal from `sorted_bit` on.
+void sort_runs(std::vector<Key>& keys) {
+    const size_t n = keys.size();
+    const auto run = [&](size_t i) { return keys[i].code >> sorted_bit; };
+    const auto less = [](const Key& a, const Key& b) {
+        return a.code != b.code ? a.code < b.code : a.reference < b.reference;
+    };
+    const size_t size = chunk_size(n), chunks = (n + size - 1) / size;
+    std::vector<size_t> begins(chunks + 1, n);
+    for (size_t c = 0; c < chunks; ++c) {
+        size_t& begin = begins[c] = std::min(n, c * size);
+        while (begin > 0 && begin < n && run(begin) == run(begin - 1)) ++begin;
+    }
+    parallel_for(chunks, 1, [&](size_t from, size_t to) {
+        for (size_t begin = begins[from]; begin < begins[to];) {
+            size_t end = begin + 1;
+            while (end < begins[to] && run(end) == run(begin)) ++end;
+            if (end - begin > 1)
+                std::sort(keys.begin() + ptrdiff_t(begin), keys.begin() + ptrdiff_t(end), less);
+            begin = end;
+        }
+    });
+}
+
+/// By code, then by reference. The highest 33 bits by 11 at a time, in parallel by chunks that do
+/// not depend on the threads; they leave short runs, or long ones of equal codes.
 void radix_sort(std::vector<Key>& keys) {
     constexpr size_t digits = 2048, least = 8192, most_chunks = 16;
     const size_t n = keys.size();
@@ -34,7 +61,7 @@ void radix_sort(std::vector<Key>& keys) {
     const auto chunk_begin = [&](size_t c) { return n * c / chunks; };
     std::vector<Key> other(n);
     std::vector<std::array<uint32_t, digits>> count(chunks);
-    for (int shift = 0; shift < 63; shift += 11) {
+    for (int shift = sorted_bit; shift < 63; shift += 11) {
         const auto digit = [&](const Key& k) { return size_t(k.code >> shift & (digits - 1)); };
         parallel_for(chunks, 1, [&](size_t from, size_t to) {
             for (size_t c = from; c < to; ++c) {
@@ -57,6 +84,7 @@ void radix_sort(std::vector<Key>& keys) {
         });
         keys.swap(other);
     }
+    sort_runs(keys);
 }
 
 /// References by the Morton code of their centroids, 21 bits an axis; equal ones by index.
@@ -89,8 +117,8 @@ std::vector<Key> morton_keys(const std::vector<BuildReference>& refs) {
 
 class MortonBuilder {
   public:
-    explicit MortonBuilder(std::vector<BuildReference> references)
-        : refs_(std::move(references)), keys_(morton_keys(refs_)) {}
+    MortonBuilder(std::vector<BuildReference> references, size_t leaf_size)
+        : refs_(std::move(references)), keys_(morton_keys(refs_)), leaf_size_(leaf_size) {}
 
     BinaryTree build() {
         BinaryTree tree;
@@ -98,7 +126,9 @@ class MortonBuilder {
         tree.nodes.resize(2 * n - 1);
         tree.order.resize(n);
         nodes_ = tree.nodes.data();
-        for (size_t i = 0; i < n; ++i) tree.order[i] = refs_[keys_[i].reference].shape;
+        parallel_for(n, 1 << 14, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) tree.order[i] = refs_[keys_[i].reference].shape;
+        });
         build_range(0, n, 0, 0);
         return tree;
     }
@@ -106,9 +136,11 @@ class MortonBuilder {
   private:
     void build_range(size_t begin, size_t end, size_t node, int depth) {
         BinaryTree::Node& out = nodes_[node];
-        if (end - begin == 1) {
-            out.bounds = refs_[keys_[begin].reference].bounds;
-            out.make_leaf(begin, 1);
+        if (end - begin <= leaf_size_) {
+            Box4 box;
+            for (size_t i = begin; i < end; ++i) box.extend(Box4(refs_[keys_[i].reference]));
+            out.bounds = box.bounds();
+            out.make_leaf(begin, end - begin);
             return;
         }
         const size_t middle = depth < median_depth ? split(begin, end) : begin + (end - begin) / 2;
@@ -138,6 +170,7 @@ class MortonBuilder {
 
     std::vector<BuildReference> refs_;
     std::vector<Key> keys_;
+    size_t leaf_size_;
     BinaryTree::Node* nodes_ = nullptr;
 };
 
@@ -270,8 +303,8 @@ std::vector<uint32_t> morton_order(const std::vector<BuildReference>& references
     return order;
 }
 
-BinaryTree build_morton(std::vector<BuildReference> references) {
-    return MortonBuilder(std::move(references)).build();
+BinaryTree build_morton(std::vector<BuildReference> references, int leaf_size) {
+    return MortonBuilder(std::move(references), size_t(leaf_size)).build();
 }
 
 BinaryTree build_clustered(std::vector<BuildReference> references, int radius) {

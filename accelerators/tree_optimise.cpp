@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 #include "accelerators/box4.h"
 #include "accelerators/tree_build.h"
@@ -48,6 +49,16 @@ Box4 merge(Box4 a, const Box4& b) {
     return a;
 }
 
+/// Sorts by a total order: the same for any number of threads.
+template <class Iterator, class Less>
+void parallel_sort(Iterator begin, Iterator end, const Less& less) {
+    if (end - begin < 8192) return std::sort(begin, end, less);
+    const Iterator middle = begin + (end - begin) / 2;
+    parallel_invoke([&] { parallel_sort(begin, middle, less); },
+                    [&] { parallel_sort(middle, end, less); });
+    std::inplace_merge(begin, middle, end, less);
+}
+
 /// A subtree to be moved: it becomes the sibling of `target`.
 struct Move {
     uint32_t node = none, target = none;
@@ -56,25 +67,31 @@ struct Move {
 
 class Optimiser {
   public:
-    explicit Optimiser(const BinaryTree& tree)
-        : nodes_(tree.nodes.size()), parent_(tree.nodes.size(), none) {
-        std::vector<uint32_t> open{0};
+    /// Nodes are numbered anew, depth first: what is near in the tree is near in memory.
+    explicit Optimiser(const BinaryTree& tree) {
+        struct Open {
+            uint32_t from, parent;
+        };
+        std::vector<Open> open{{0, none}};
         while (!open.empty()) {
-            const uint32_t i = open.back();
+            const auto [from, parent] = open.back();
             open.pop_back();
-            const BinaryTree::Node& from = tree.nodes[i];
-            SearchNode& to = nodes_[i];
+            const uint32_t i = uint32_t(nodes_.size());
+            const BinaryTree::Node& node = tree.nodes[from];
+            SearchNode& to = nodes_.emplace_back();
             for (int a = 0; a < 3; ++a)
-                to.lower[a] = from.bounds.lower[a], to.upper[a] = from.bounds.upper[a];
-            used_.push_back(i);
+                to.lower[a] = node.bounds.lower[a], to.upper[a] = node.bounds.upper[a];
             to.left = to.right = none;
-            if (from.leaf()) continue;
-            to.left = from.left, to.right = from.right;
-            for (const uint32_t child : {from.left, from.right}) {
-                parent_[child] = i;
-                open.push_back(child);
-            }
+            parent_.push_back(parent);
+            from_.push_back(from);
+            // The left child follows its parent.
+            if (parent != none && parent + 1 != i) nodes_[parent].right = i;
+            if (node.leaf()) continue;
+            to.left = i + 1;
+            open.push_back({node.right, i});
+            open.push_back({node.left, i});
         }
+        touched_.resize(nodes_.size());
         // A power of two makes areas of the order of 1: no product of extents overflows.
         const float extent = tree.nodes[0].bounds.extent().maxCoeff();
         const bool sane = extent > 0 && std::isfinite(extent);
@@ -85,35 +102,45 @@ class Optimiser {
     /// @return whether the sum of areas fell; if not, nothing has changed
     bool pass() {
         const double before = cost();
-        const std::vector<SearchNode> nodes = nodes_;
-        const std::vector<uint32_t> parents = parent_;
+        saved_nodes_ = nodes_;
+        saved_parents_ = parent_;
         const std::vector<uint32_t> candidates = largest_first();
         const size_t size = (candidates.size() + batches - 1) / batches;
         for (size_t begin = 0; begin < candidates.size(); begin += size)
             batch(std::span(candidates).subspan(begin, std::min(size, candidates.size() - begin)));
         if (cost() < before) return true;
-        nodes_ = nodes;
-        parent_ = parents;
+        nodes_.swap(saved_nodes_);
+        parent_.swap(saved_parents_);
         return false;
     }
 
     /// Of all inner nodes, in double: the part of the area heuristic that moves can change.
     double cost() const {
-        double sum = 0;
-        for (const uint32_t i : used_)
-            if (!nodes_[i].leaf()) sum += area_of(nodes_[i]);
-        return sum;
+        return sum_chunks<Sum>(0, nodes_.size(),
+                               [&](size_t begin, size_t end) {
+                                   Sum sum;
+                                   for (size_t i = begin; i < end; ++i)
+                                       if (!nodes_[i].leaf()) sum.value += area_of(nodes_[i]);
+                                   return sum;
+                               })
+            .value;
     }
 
-    void store(BinaryTree& tree) const {
-        for (const uint32_t i : used_) {
-            const SearchNode& from = nodes_[i];
-            if (from.leaf()) continue;
-            BinaryTree::Node& to = tree.nodes[i];
-            to.left = from.left, to.right = from.right;
-            for (int a = 0; a < 3; ++a)
-                to.bounds.lower[a] = from.lower[a], to.bounds.upper[a] = from.upper[a];
-        }
+    /// The nodes as they are now. @param tree  that this was made of
+    RawVector<BinaryTree::Node> nodes(const BinaryTree& tree) const {
+        RawVector<BinaryTree::Node> list(nodes_.size());
+        parallel_for(nodes_.size(), 1 << 13, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) {
+                const SearchNode& from = nodes_[i];
+                list[i] = tree.nodes[from_[i]];
+                if (from.leaf()) continue;
+                list[i].make_inner(from.left, from.right);
+                for (int a = 0; a < 3; ++a)
+                    list[i].bounds.lower[a] = from.lower[a],
+                    list[i].bounds.upper[a] = from.upper[a];
+            }
+        });
+        return list;
     }
 
   private:
@@ -121,6 +148,11 @@ class Optimiser {
         uint32_t node;
         float merged;  // area of the node's box with the moved one
         float left;    // gain so far: what is saved, less what ancestors grow
+    };
+
+    struct Sum {
+        double value = 0;
+        void add(const Sum& s) { value += s.value; }
     };
 
     static double area_of(const SearchNode& n) {
@@ -145,14 +177,19 @@ class Optimiser {
     /// The largest quarter of the nodes that can move, by falling area. The others gain little: as
     /// many searches spent on further passes gain more.
     std::vector<uint32_t> largest_first() const {
-        std::vector<std::pair<float, uint32_t>> keyed;
-        keyed.reserve(used_.size());
-        for (const uint32_t i : used_)
-            if (i != 0 && parent_[i] != 0) keyed.emplace_back(-area(nodes_[i].box()), i);
-        const size_t n = std::max(keyed.size() / 4, std::min(keyed.size(), least_candidates));
+        std::vector<std::pair<float, uint32_t>> keyed(nodes_.size());
+        parallel_for(nodes_.size(), 1 << 13, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) {
+                const bool moves = i != 0 && parent_[i] != 0;
+                keyed[i] = {moves ? -area(nodes_[i].box()) : INFINITY, uint32_t(i)};
+            }
+        });
+        // The root and its children, which can't move, come last.
+        const size_t movable = nodes_.size() - 3;
+        const size_t n = std::max(movable / 4, std::min(movable, least_candidates));
         std::nth_element(keyed.begin(), keyed.begin() + ptrdiff_t(n), keyed.end());
         keyed.resize(n);
-        std::sort(keyed.begin(), keyed.end());
+        parallel_sort(keyed.begin(), keyed.end(), std::less<>());
         std::vector<uint32_t> list(n);
         for (size_t i = 0; i < n; ++i) list[i] = keyed[i].second;
         return list;
@@ -166,20 +203,20 @@ class Optimiser {
             for (size_t i = begin; i < end; ++i) moves[i] = best_move(candidates[i], stack);
         });
         std::erase_if(moves, [](const Move& m) { return m.target == none; });
-        std::sort(moves.begin(), moves.end(), [](const Move& a, const Move& b) {
+        parallel_sort(moves.begin(), moves.end(), [](const Move& a, const Move& b) {
             return a.gain != b.gain ? a.gain > b.gain : a.node < b.node;
         });
-        std::vector<uint8_t> touched(nodes_.size());
+        std::fill(touched_.begin(), touched_.end(), uint8_t{0});
         for (const Move& m : moves) {
             const uint32_t p = parent_[m.node];
             if (p == 0 || m.target == p) continue;
             const uint32_t meets[] = {m.node,     sibling(m.node), p,
                                       parent_[p], m.target,        parent_[m.target]};
             if (std::any_of(std::begin(meets), std::end(meets),
-                            [&](uint32_t i) { return touched[i] != 0; }) ||
+                            [&](uint32_t i) { return touched_[i] != 0; }) ||
                 is_inside(m.target, m.node))
                 continue;
-            for (const uint32_t i : meets) touched[i] = 1;
+            for (const uint32_t i : meets) touched_[i] = 1;
             apply(m);
         }
     }
@@ -284,9 +321,10 @@ class Optimiser {
         }
     }
 
-    std::vector<SearchNode> nodes_;
-    std::vector<uint32_t> parent_;
-    std::vector<uint32_t> used_;
+    std::vector<SearchNode> nodes_, saved_nodes_;
+    std::vector<uint32_t> parent_, saved_parents_;
+    std::vector<uint32_t> from_;    // the nodes' indices in the tree
+    std::vector<uint8_t> touched_;  // by a move of the batch
     Box4::V scale_;
 };
 
@@ -295,18 +333,18 @@ class Optimiser {
 void reinsert(BinaryTree& tree, int passes) {
     if (tree.nodes.size() < 7 || passes <= 0) return;
     Optimiser optimiser(tree);
-    double cost = optimiser.cost();
+    const double before = optimiser.cost();
+    double cost = before;
     for (int i = 0; i < passes; ++i) {
         if (!optimiser.pass()) break;
-        const double now = optimiser.cost();
-        if (cost - now < 1e-4 * cost) break;
-        cost = now;
+        const double last = std::exchange(cost, optimiser.cost());
+        if (last - cost < 1e-4 * last) break;
     }
-    BinaryTree moved = tree;
-    const double before = inner_area(tree);
-    optimiser.store(moved);
-    limit_depth(moved);
-    if (inner_area(moved) <= before) tree = std::move(moved);
+    if (!(cost < before)) return;
+    BinaryTree moved;
+    moved.nodes = optimiser.nodes(tree);
+    if (!limit_depth(moved) || inner_area(moved) <= inner_area(tree))
+        tree.nodes = std::move(moved.nodes);
 }
 
 }  // namespace crofton

@@ -14,6 +14,8 @@ constexpr int median_depth = 40;        // from here on, halves by count
 constexpr size_t parallel_size = 2048;  // fewer references are not worth a task
 constexpr size_t least_split = 4;       // fewer references are not cut
 constexpr int max_slabs = 32;
+constexpr double least_overlap = 0.2;  // share of a node, but no more than
+constexpr double large_overlap = 100;  // times split_overlap of the root
 
 /// A plane that cuts a node's box.
 struct SpatialSplit {
@@ -22,38 +24,72 @@ struct SpatialSplit {
     float position = 0;
 };
 
-/// Equal slabs of a node's box on one axis.
-struct Slabs {
-    float lower, extent, scale;
-    int count, axis;
+/// Equal slabs of a node's box on each axis.
+class Slabs {
+  public:
+    Slabs(const Box4& box, int n) : count_(n), lower_(box.lower) {
+        const Bounds3 b = box.bounds();
+        alignas(16) float scale[4] = {};
+        for (int a = 0; a < 3; ++a) {
+            const float extent = b.upper[a] - b.lower[a], s = float(n) / extent;
+            usable_[a] = extent > 0 && std::isfinite(s) && std::isfinite(extent);
+            if (!usable_[a]) continue;
+            scale[a] = s;
+            for (int k = 0; k < n; ++k) plane_[a][k] = b.lower[a] + extent * (float(k) / float(n));
+        }
+        scale_ = hn::Load(Box4::D(), scale);
+    }
+    int count() const { return count_; }
+    const bool (&usable() const)[3] { return usable_; }
+    /// The lower one of slab k.
+    float plane(int axis, int k) const { return plane_[axis][k]; }
+    /// The slabs that a box lies in. What ends in a plane is below it.
+    void of(const Box4& box, int32_t* first, int32_t* last) const {
+        const Box4::D d;
+        const hn::RebindToSigned<Box4::D> d32;
+        const auto most = hn::Set(d, float(count_ - 1));
+        const auto at = [&](Box4::V x) {
+            return hn::Mul(first_three_lanes(hn::Sub(x, lower_)), scale_);
+        };
+        const auto low = hn::Min(hn::Max(hn::Floor(at(box.lower)), hn::Zero(d)), most);
+        const auto high =
+            hn::Min(hn::Max(hn::Sub(hn::Ceil(at(box.upper)), hn::Set(d, 1)), low), most);
+        hn::Store(hn::ConvertTo(d32, low), d32, first);
+        hn::Store(hn::ConvertTo(d32, high), d32, last);
+    }
 
-    Slabs(const Bounds3& box, int a, int n)
-        : lower(box.lower[a]),
-          extent(box.upper[a] - box.lower[a]),
-          scale(float(n) / extent),
-          count(n),
-          axis(a) {}
-    bool usable() const { return extent > 0 && std::isfinite(scale) && std::isfinite(extent); }
-    int of(float x) const { return std::clamp(int((x - lower) * scale), 0, count - 1); }
-    float plane(int k) const { return lower + extent * (float(k) / float(count)); }
+  private:
+    int count_;
+    Box4::V lower_, scale_;
+    bool usable_[3];
+    float plane_[3][max_slabs];
 };
 
+/// Boxes of what lies in each slab, and how many references begin and end there. Not initialised
+/// beyond `slabs`.
 struct SlabTable {
-    struct Slab {
-        Box4 box;
-        uint32_t enter = 0, leave = 0;
-        double enter_cost = 0, leave_cost = 0;
-    };
-    std::array<std::array<Slab, max_slabs>, 3> axis;
+    alignas(16) BinTable::Bin bin[max_slabs][4];
+    alignas(16) uint32_t enter[max_slabs][4], leave[max_slabs][4];
+    alignas(16) float enter_cost[max_slabs][4], leave_cost[max_slabs][4];
+    int slabs;
 
+    SlabTable() {}
+    explicit SlabTable(int n) : slabs(n) {
+        const Box4 none;
+        for (int s = 0; s < n; ++s)
+            for (int a = 0; a < 4; ++a) {
+                hn::Store(none.lower, Box4::D(), bin[s][a].lower);
+                hn::Store(none.upper, Box4::D(), bin[s][a].upper);
+                enter[s][a] = leave[s][a] = 0;
+                enter_cost[s][a] = leave_cost[s][a] = 0;
+            }
+    }
     void add(const SlabTable& t) {
-        for (size_t a = 0; a < 3; ++a)
-            for (size_t s = 0; s < max_slabs; ++s) {
-                Slab& to = axis[a][s];
-                const Slab& from = t.axis[a][s];
-                to.box.extend(from.box);
-                to.enter += from.enter, to.leave += from.leave;
-                to.enter_cost += from.enter_cost, to.leave_cost += from.leave_cost;
+        for (int s = 0; s < slabs; ++s)
+            for (int a = 0; a < 3; ++a) {
+                bin[s][a].extend(t.bin[s][a].box());
+                enter[s][a] += t.enter[s][a], leave[s][a] += t.leave[s][a];
+                enter_cost[s][a] += t.enter_cost[s][a], leave_cost[s][a] += t.leave_cost[s][a];
             }
     }
 };
@@ -146,12 +182,14 @@ class SplitBuilder {
     /// @return how many go left: not 0, and not all
     size_t partition(Range& range, const ReferenceBounds& bounds, const Bounds3& box, int depth) {
         const std::span<BuildReference> all = references(range);
+        if (all.size() == 2) return 1;
         if (depth >= median_depth) return halve_references(all, bounds).left;
         const int bins = bins_for(all.size(), bins_);
         const Binning binning(bounds.centroids, bins);
         const ObjectSplit split = find_object_split(all, bounds, binning, bins, costs_);
-        if (all.size() >= least_split && range.room() > 0 && (split.axis < 0 || overlaps(split))) {
-            const SpatialSplit spatial = find_spatial_split(all, box);
+        if (all.size() >= least_split && range.room() > 0 &&
+            (split.axis < 0 || overlaps(split, half_area(box)))) {
+            const SpatialSplit spatial = find_spatial_split(all, bounds.boxes);
             if (spatial.cost < split.cost)
                 if (const size_t n = cut(range, spatial)) return n;
         }
@@ -159,82 +197,77 @@ class SplitBuilder {
         return divide(all, binning, split).left;
     }
 
-    /// Whether the children of a split overlap by more than the given share of the root.
-    bool overlaps(const ObjectSplit& split) const {
-        return half_area(intersection(split.side[0].bounds(), split.side[1].bounds())) >
-               overlap_ * root_area_;
+    /// Whether the children of a split overlap by so much that a plane that cuts shapes may be
+    /// better: more than the given share of the root, and of their parent unless that is large.
+    bool overlaps(const ObjectSplit& split, double area) const {
+        const double least =
+            std::max(overlap_ * root_area_,
+                     std::min(least_overlap * area, large_overlap * overlap_ * root_area_));
+        return half_area(intersection(split.side[0].bounds(), split.side[1].bounds())) > least;
     }
 
-    SpatialSplit find_spatial_split(std::span<const BuildReference> all, const Bounds3& box) const {
+    SpatialSplit find_spatial_split(std::span<const BuildReference> all, const Box4& box) const {
         // Finer than the bins: where a plane cuts shapes matters more than which side whole ones
         // take.
-        const int slabs = std::min(max_slabs, 2 * bins_);
+        const int most = std::min(max_slabs, 2 * bins_);
+        const Slabs slabs(box,
+                          int(std::clamp<size_t>(all.size(), std::min(8, most), size_t(most))));
         const SlabTable table = sum_chunks<SlabTable>(0, all.size(), [&](size_t from, size_t to) {
-            SlabTable sum;
-            for (int a = 0; a < 3; ++a) {
-                const Slabs axis(box, a, slabs);
-                if (!axis.usable()) continue;
-                for (size_t i = from; i < to; ++i) chop(all[i], axis, sum.axis[size_t(a)]);
-            }
+            SlabTable sum(slabs.count());
+            for (size_t i = from; i < to; ++i) chop(all[i], slabs, sum);
             return sum;
         });
-        SpatialSplit best;
-        const double area = half_area(box);
-        for (int a = 0; a < 3; ++a) {
-            const Slabs axis(box, a, slabs);
-            if (axis.usable() && area > 0) sweep(table.axis[size_t(a)], axis, area, best);
-        }
-        return best;
+        const BinRows rows{table.bin,        table.enter,      table.leave,
+                           table.enter_cost, table.leave_cost, slabs.count()};
+        const ObjectSplit best = BinSweep(rows, costs_).best(box, slabs.usable(), costs_);
+        if (best.axis < 0) return {};
+        return {best.cost, best.axis, slabs.plane(best.axis, best.bin)};
     }
 
     /// Adds a reference's parts to the slabs that they lie in.
-    void chop(const BuildReference& r, const Slabs& slabs,
-              std::array<SlabTable::Slab, max_slabs>& table) const {
-        const int first = slabs.of(r.bounds.lower[slabs.axis]);
-        int last = slabs.of(r.bounds.upper[slabs.axis]);
-        // What ends in a plane is below it.
-        if (last > first && r.bounds.upper[slabs.axis] <= slabs.plane(last)) --last;
-        SlabTable::Slab &enter = table[size_t(first)], &leave = table[size_t(last)];
-        ++enter.enter, enter.enter_cost += r.cost;
-        ++leave.leave, leave.leave_cost += r.cost;
-        if (first == last) {
-            enter.box.extend(Box4(r));
-            return;
+    void chop(const BuildReference& r, const Slabs& slabs, SlabTable& table) const {
+        const Box4 whole(r);
+        alignas(16) int32_t first[4], last[4];
+        slabs.of(whole, first, last);
+        for (int a = 0; a < 3; ++a) {
+            if (!slabs.usable()[a]) continue;
+            ++table.enter[first[a]][a], table.enter_cost[first[a]][a] += r.cost;
+            ++table.leave[last[a]][a], table.leave_cost[last[a]][a] += r.cost;
+            if (first[a] == last[a])
+                table.bin[first[a]][a].extend(whole);
+            else if (triangles_)
+                chop_triangle(r.shape, whole, slabs, a, first[a], last[a], table);
+            else
+                chop_box(r, slabs, a, first[a], last[a], table);
         }
-        if (triangles_)
-            chop_triangle(r, slabs, first, last, table);
-        else
-            chop_box(r, slabs, first, last, table);
     }
 
-    static void chop_box(const BuildReference& r, const Slabs& slabs, int first, int last,
-                         std::array<SlabTable::Slab, max_slabs>& table) {
+    static void chop_box(const BuildReference& r, const Slabs& slabs, int axis, int first, int last,
+                         SlabTable& table) {
         for (int s = first; s <= last; ++s) {
             BuildReference part = r;
-            if (s > first) part.bounds.lower[slabs.axis] = slabs.plane(s);
-            if (s < last) part.bounds.upper[slabs.axis] = slabs.plane(s + 1);
-            table[size_t(s)].box.extend(Box4(part));
+            if (s > first) part.bounds.lower[axis] = slabs.plane(axis, s);
+            if (s < last) part.bounds.upper[axis] = slabs.plane(axis, s + 1);
+            table.bin[s][axis].extend(Box4(part));
         }
     }
 
     /// A slab holds the corners in it and the triangle's sections by its planes, within the
     /// reference's box. Rounded: it serves to compare planes, the cut itself is exact.
-    void chop_triangle(const BuildReference& r, const Slabs& slabs, int first, int last,
-                       std::array<SlabTable::Slab, max_slabs>& table) const {
-        const int axis = slabs.axis;
-        const Box4 whole(r);
+    void chop_triangle(uint32_t shape, const Box4& whole, const Slabs& slabs, int axis, int first,
+                       int last, SlabTable& table) const {
         Box4::V corner[3];
         float at[3];
         for (int k = 0; k < 3; ++k) {
-            const Vec3f& v = triangles_->vertex(r.shape, k);
+            const Vec3f& v = triangles_->vertex(shape, k);
             alignas(16) const float xyz[4] = {v[0], v[1], v[2], 0};
             corner[k] = hn::Load(Box4::D(), xyz);
             at[k] = v[axis];
         }
         Box4 part;
         for (int s = first; s <= last; ++s) {
-            const float begin = s > first ? slabs.plane(s) : -INFINITY;
-            const float end = s < last ? slabs.plane(s + 1) : INFINITY;
+            const float begin = s > first ? slabs.plane(axis, s) : -INFINITY;
+            const float end = s < last ? slabs.plane(axis, s + 1) : INFINITY;
             for (int k = 0; k < 3; ++k)
                 if (at[k] >= begin && at[k] <= end) part.extend_point(corner[k]);
             Box4 section;
@@ -250,32 +283,8 @@ class SplitBuilder {
             }
             part.lower = hn::Max(part.lower, whole.lower);
             part.upper = hn::Min(part.upper, whole.upper);
-            if (part.valid()) table[size_t(s)].box.extend(part);
+            if (part.valid()) table.bin[s][axis].extend(part);
             part = section;
-        }
-    }
-
-    void sweep(const std::array<SlabTable::Slab, max_slabs>& table, const Slabs& slabs, double area,
-               SpatialSplit& best) const {
-        std::array<double, max_slabs> right_cost;
-        Box4 box;
-        uint32_t count = 0;
-        double cost = 0;
-        for (int s = slabs.count - 1; s > 0; --s) {
-            const SlabTable::Slab& slab = table[size_t(s)];
-            box.extend(slab.box);
-            count += slab.leave, cost += slab.leave_cost;
-            right_cost[size_t(s)] = count ? box.half_area() * costs_.leaf(cost, count) : -1;
-        }
-        box = Box4(), count = 0, cost = 0;
-        for (int s = 1; s < slabs.count; ++s) {
-            const SlabTable::Slab& slab = table[size_t(s) - 1];
-            box.extend(slab.box);
-            count += slab.enter, cost += slab.enter_cost;
-            if (count == 0 || right_cost[size_t(s)] < 0) continue;
-            const double both = box.half_area() * costs_.leaf(cost, count) + right_cost[size_t(s)];
-            const double total = costs_.node + both / area;
-            if (total < best.cost) best = {total, slabs.axis, slabs.plane(s)};
         }
     }
 

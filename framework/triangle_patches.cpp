@@ -167,6 +167,7 @@ uint32_t TrianglePatches::add(const TriangleSet& set, std::span<const uint32_t> 
 }
 
 uint32_t TrianglePatches::count_patches(const TriangleSet& set, std::span<const uint32_t> shapes) {
+    if (shapes.size() <= 2) return uint32_t(!shapes.empty());  // six corners at most
     return HWY_DYNAMIC_DISPATCH(pack)(set, shapes.data(), shapes.size(), nullptr, nullptr, 0);
 }
 

@@ -1,5 +1,8 @@
 #include "framework/triangle_set.h"
 
+#include <hwy/highway.h>
+
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -8,6 +11,8 @@
 
 namespace crofton {
 namespace {
+
+namespace hn = hwy::HWY_NAMESPACE;
 
 /// 1.1u of the extent on an axis and 2.6u of the largest. Scaled before the subtraction, which then
 /// cannot overflow.
@@ -53,8 +58,25 @@ Bounds3 TriangleSet::corner_bounds(uint32_t i) const {
 }
 
 Bounds3 TriangleSet::bounds(uint32_t i) const {
-    const Bounds3 b = corner_bounds(i);
-    return grown(b, slack_of(b));
+    // As grown(corner_bounds(i), slack(i)), with the axes side by side: builds ask it of every one.
+    const hn::FixedTag<float, 4> d;
+    const float* const at = coordinates();
+    const auto corner = [&](size_t k) { return hn::LoadU(d, at + size_t{3} * triangles_[i][k]); };
+    const auto a = corner(0), b = corner(1), c = corner(2);
+    const auto lower = hn::Min(hn::Min(a, b), c), upper = hn::Max(hn::Max(a, b), c);
+    const auto ulp = hn::Set(d, 0x1p-24f);
+    const auto u = hn::Sub(hn::Mul(upper, ulp), hn::Mul(lower, ulp));
+    alignas(16) float e[4];
+    hn::Store(u, d, e);
+    const auto most = hn::Set(d, std::max({e[0], e[1], e[2]}) * 2.6f);
+    const auto slack = hn::Add(hn::Mul(u, hn::Set(d, 1.1f)), most);
+    const auto share = hn::Set(d, 0x1p-23f), limit = hn::Set(d, std::numeric_limits<float>::max());
+    const auto low = hn::Sub(lower, hn::Add(hn::Mul(hn::Abs(lower), share), slack));
+    const auto high = hn::Add(upper, hn::Add(hn::Mul(hn::Abs(upper), share), slack));
+    alignas(16) float l[4], h[4];
+    hn::Store(hn::Max(low, hn::Neg(limit)), d, l);
+    hn::Store(hn::Min(high, limit), d, h);
+    return {{l[0], l[1], l[2]}, {h[0], h[1], h[2]}};
 }
 
 Vec3f TriangleSet::slack(uint32_t i) const { return slack_of(corner_bounds(i)); }
