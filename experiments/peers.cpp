@@ -115,6 +115,7 @@ class EmbreeObject final : public Primitive {
         scene_ = rtcNewScene(device());
         rtcSetSceneFlags(scene_, options.flags);
         rtcSetSceneBuildQuality(scene_, options.quality);
+        quality_ = options.quality;
         add();
         rtcCommitScene(scene_);
         bytes_ = uint64_t(std::max<int64_t>(0, embree_bytes - before));
@@ -124,6 +125,8 @@ class EmbreeObject final : public Primitive {
         set_bounds(bounds);
     }
     void attach(RTCGeometry geometry) {
+        // Embree sorts by Morton codes only if the geometry asks for it, too.
+        if (quality_ == RTC_BUILD_QUALITY_LOW) rtcSetGeometryBuildQuality(geometry, quality_);
         rtcCommitGeometry(geometry);
         rtcAttachGeometry(scene_, geometry);
         rtcReleaseGeometry(geometry);
@@ -170,6 +173,7 @@ class EmbreeObject final : public Primitive {
     std::shared_ptr<const TriangleSet> triangles_;  ///< or
     std::shared_ptr<const ObjectSet> objects_;
     std::vector<const IdTable*> inside_;  ///< of each object
+    RTCBuildQuality quality_ = RTC_BUILD_QUALITY_HIGH;
     RTCScene scene_ = nullptr;
     uint64_t bytes_ = 0;
 };

@@ -1,13 +1,18 @@
 #include "framework/triangle_patches.h"
 
 #include <cmath>
+#include <fstream>
+#include <iterator>
 #include <map>
 #include <numeric>
 
+#include "framework/archive.h"
+#include "framework/parallel.h"
 #include "framework/primitive.h"
 #include "framework/registry.h"
 #include "tests/catch.h"
 #include "tests/height_field.h"
+#include "tests/scratch_file.h"
 
 namespace crofton {
 namespace {
@@ -78,6 +83,32 @@ TEST_CASE("triangle patches: a mesh in wide_bvh takes at most 46 bytes a triangl
     };
     CHECK(bytes({}) <= 46);
     CHECK(bytes({{"nodes", std::string("quantised")}}) <= 42);
+}
+
+TEST_CASE("a wide_bvh is the same, byte for byte, for any number of threads") {
+    constexpr uint32_t n = 160;
+    const HeightField mesh(
+        n, [](float x, float y) { return Vec3f(x, y, 8 * std::sin(0.1f * (x * x + 3 * y))); });
+    const PrimitiveSet set = std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles);
+    const auto saved = [&](int threads, const ParameterValues& values) {
+        set_threads(threads);
+        const auto structure = accelerator("wide_bvh").build(set, values);
+        set_threads(0);
+        const ScratchFile file("structure", "");
+        save_structure(*structure, file.path());
+        std::ifstream in(file.path(), std::ios::binary);
+        return std::string(std::istreambuf_iterator<char>(in), {});
+    };
+    for (const std::string builder : {"lbvh", "binned_sah", "sbvh"})
+        for (const std::string nodes : {"full", "quantised"}) {
+            INFO(builder << ", " << nodes);
+            const ParameterValues values{{"builder", builder},
+                                         {"nodes", nodes},
+                                         {"reinsertion", int64_t(builder == "sbvh")}};
+            const std::string one = saved(1, values), four = saved(4, values);
+            CHECK(one.size() > 1000000);
+            CHECK((one == four));
+        }
 }
 
 TEST_CASE("thin rays: a scene's size does not make its small parts thick") {
