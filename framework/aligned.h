@@ -40,7 +40,8 @@ template <class T, class Base>
 struct RawAllocator : Base {
     template <class U>
     struct rebind {
-        using other = RawAllocator<U, typename std::allocator_traits<Base>::template rebind_alloc<U>>;
+        using other =
+            RawAllocator<U, typename std::allocator_traits<Base>::template rebind_alloc<U>>;
     };
     RawAllocator() = default;
     template <class U, class B>
