@@ -13,6 +13,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <numeric>
+#include <optional>
 
 #include "accelerators/auto_select.h"
 #include "experiments/calibration_scenes.h"
@@ -29,6 +30,7 @@
 #include "scenegraph/assemble.h"
 #include "scenegraph/auto_plan.h"
 #include "scenegraph/shape_sets.h"
+#include "scenegraph/thinned.h"
 
 namespace crofton {
 namespace {
@@ -248,7 +250,9 @@ struct Observation {
     const CalibrationScene* sample;
     double build_ns, bytes, ray_ns;  ///< bytes and build per shape
     double structure_bytes;
-    std::vector<RayCost> rays;  ///< counters and time of both sets of rays
+    std::vector<RayCost> rays;  ///< counters and time of each set of rays
+    /// Powers that costs grow with from the scene thinned to the whole one; none for small scenes.
+    std::optional<double> thin_ray, thin_build;
 };
 
 /// Builds until the median is steady enough.
@@ -267,26 +271,46 @@ double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& las
 
 RayCost ray_cost(const Primitive& root, std::span<const Ray> rays) {
     const double pilot = pilot_ns(root, rays.first(std::min<size_t>(rays.size(), 64)), {false, 1});
-    // A pass takes at most some milliseconds, however slow the structure.
-    const auto part = rays.first(std::clamp<size_t>(
-        size_t(4e6 / std::max(pilot, 1.0)), std::min<size_t>(16, rays.size()), rays.size()));
-    const Counters counters = counted_pass(root, part, false);
-    const double n = double(part.size());
-    const std::vector<double> passes = passes_ns(root, part, 3);
-    // The fastest: what else the machine does only ever adds.
-    return {*std::min_element(passes.begin(), passes.end()), double(counters.N_TS) / n,
+    // Some milliseconds at most, however slow the structure.
+    const auto most = size_t(8e6 / std::max(pilot, 1.0));
+    const std::vector<Ray> some = some_of(rays, std::max<size_t>(64, most));
+    const Counters counters = counted_pass(root, some, false);
+    const double n = double(some.size());
+    return {observed_ns(root, {some, false, Mode::robust}), double(counters.N_TS) / n,
             double(counters.N_IT) / n};
 }
 
 /// Lazy structures are built by rays that meet every part.
 void wake(const Primitive& root, const CalibrationScene& sample) {
-    trace_hits(root, sample.lines, {false, 1});
-    trace_hits(root, sample.inside, {false, 1});
+    for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
+        trace_hits(root, *rays, {false, 1});
+}
+
+std::vector<RayCost> ray_costs(const Primitive& root, const CalibrationScene& sample) {
+    std::vector<RayCost> costs;
+    for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
+        if (!rays->empty()) costs.push_back(ray_cost(root, *rays));
+    return costs;
+}
+
+/// What pilots do, to scenes whose costs are known.
+constexpr double least_to_thin = 4096, thin_factor = 4;
+
+/// @param seconds  of the whole scene's build
+void observe_thinned(const AssemblyPlan& plan, Observation& o, double seconds) {
+    const Scene thin = thinned(o.sample->scene, thin_factor);
+    Assembly assembly;
+    const double thin_seconds = build_seconds(thin, plan, assembly);
+    const double shapes = double(statistics(thin).shapes_instanced);
+    const double powers = std::log(double(o.sample->count) / shapes);
+    o.thin_ray =
+        std::log(o.ray_ns / geometric_mean_ns(ray_costs(*assembly.root, *o.sample))) / powers;
+    o.thin_build = std::log(seconds / thin_seconds) / powers;
 }
 
 Observation observe(const StructureChoice& choice, const CalibrationScene& sample) {
     const AssemblyPlan plan = flat_plan(choice.type, choice.parameters);
-    Observation o{&sample, 0, 0, 0, 0, {}};
+    Observation o{&sample, 0, 0, 0, 0, {}, {}, {}};
     Assembly assembly;
     double seconds = build_seconds(sample.scene, plan, assembly);
     if (choice.parameters.contains("lazy")) {
@@ -299,12 +323,20 @@ Observation observe(const StructureChoice& choice, const CalibrationScene& sampl
     }
     const double n = double(sample.count);
     o.build_ns = seconds * 1e9 / n;
-    for (const std::vector<Ray>* rays : {&sample.lines, &sample.inside})
-        if (!rays->empty()) o.rays.push_back(ray_cost(*assembly.root, *rays));
+    o.rays = ray_costs(*assembly.root, sample);
     o.structure_bytes = double(total_statistics(*assembly.root).bytes);
     o.bytes = o.structure_bytes / n;
     o.ray_ns = geometric_mean_ns(o.rays);
+    if (sample.size >= least_to_thin) observe_thinned(plan, o, seconds);
     return o;
+}
+
+void set_thinned(StructureCosts& costs, const std::vector<Observation>& observations) {
+    double ray = 0, build = 0;
+    int n = 0;
+    for (const Observation& o : observations)
+        if (o.thin_ray) ray += *o.thin_ray, build += *o.thin_build, ++n;
+    if (n > 0) costs.thin_ray = ray / n, costs.thin_build = build / n;
 }
 
 /// @param reference  ns per ray of the structure that spreads are relative to, by sample
@@ -342,6 +374,7 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
             build_deviations.push_back(std::log(x / costs.growth.back().build_ns));
     }
     costs.order = geometric_mean(orders);
+    set_thinned(costs, observations);
     costs.ray_spread = root_mean_square(ray_deviations);
     costs.build_spread = root_mean_square(build_deviations);
     fit_counted(costs, counted, cache_bytes, nodes);

@@ -14,7 +14,8 @@ struct CalibrationScene {
     double size = 0;     ///< nominal number of shapes: equal ones make one point of the growth
     Scene scene;
     uint64_t count = 0;       ///< shapes in fact
-    std::vector<Ray> lines;   ///< isotropic, that meet the scene's box
+    std::vector<Ray> lines;   ///< isotropic, in no order
+    std::vector<Ray> view;    ///< of a camera, pixel after pixel
     std::vector<Ray> inside;  ///< from what these hit, in any direction
 };
 

@@ -163,9 +163,17 @@ class Run {
             return;
         }
         Built built{&variant, assembled(variant)};
+        if (spec_.run.predict) built.assembly.build_s = median_build_s(variant);
         for (const std::string& warning : built.assembly.warnings)
             output_.notes.push_back(variant.name + ": " + warning);
         built_.push_back(std::move(built));
+    }
+
+    double median_build_s(const Variant& variant) const {
+        std::vector<double> seconds;
+        for (int64_t i = 0; i < spec_.run.repeats; ++i)
+            seconds.push_back(assembled(variant).build_s);
+        return median_interval(seconds).median;
     }
 
     /// A bvh of its own, so that rays do not depend on the variants.
@@ -197,16 +205,7 @@ class Run {
         if (!spec_.run.budgets.empty()) time_budgets(trials);
     }
 
-    /// Rays of the workload for `auto` and predictions to try, in random order of place.
-    RaySample sample() {
-        if (!sample_.empty()) return {sample_, any_, spec_.run.mode};
-        for (const size_t i : strided_sample(rays_.size(), 8192, 5)) sample_.push_back(rays_[i]);
-        // So that the first few are spread over all, too.
-        Pcg32 rng(5);
-        for (size_t i = sample_.size(); i > 1; --i)
-            std::swap(sample_[i - 1], sample_[rng.below(i)]);
-        return {sample_, any_, spec_.run.mode};
-    }
+    RaySample sample() const { return {rays_, any_, spec_.run.mode}; }
 
     std::vector<double> budgets() const {
         return spec_.run.budgets.empty() ? std::vector<double>{objective(double(rays_.size())).rays}
@@ -218,7 +217,6 @@ class Run {
     void choose(const WorkloadSpec& workload, std::vector<Trial>& trials) {
         chosen_.clear();
         chosen_built_.clear();
-        sample_.clear();
         for (const Variant& variant : spec_.variants) {
             if (!variant.chooses) continue;
             progress_.step(fmt::format("choosing for {}: {}", workload.name, variant.name), true);
@@ -264,6 +262,7 @@ class Run {
         // At most a quarter of the shapes, so that it is before the build.
         constexpr double pilot_shapes = 16384, least_factor = 4;
         constexpr size_t pilot_rays = 2048;
+        constexpr int pilot_builds = 3;
         AutoOptions options;
         options.objective = objective(double(rays_.size()));
         options.clock = spec_.objective.clock;
@@ -274,20 +273,21 @@ class Run {
             for (const SceneCounts::Kind& kind : counts_->kinds) unique += kind.unique;
             pilot_.emplace(scene_, *counts_, std::min(pilot_shapes, unique / least_factor));
         }
+        const std::vector<Ray> some = some_of(rays_, pilot_rays);
         for (Trial& trial : trials) {
             const PlanChoice choice = plan_choice_of(trial.built->spec->plan);
             RaySample sample = this->sample();
-            sample.rays = sample.rays.first(std::min(pilot_rays, sample.rays.size()));
+            sample.rays = some;
             sample.mode = *trial.built->spec->mode;
             const auto start = std::chrono::steady_clock::now();
-            const CostEstimate e =
-                pilot_->estimate(choice, trial.built->spec->plan, sample, options, calibration());
+            const CostEstimate e = pilot_->estimate(choice, trial.built->spec->plan, sample,
+                                                    options, calibration(), pilot_builds);
             PredictedCosts p;
             p.choose_s =
                 std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
             p.build_s = e.build_s, p.bytes = e.bytes, p.ns_per_ray = e.ns_per_ray;
-            p.expected_ns = observed_ns(*trial.built->assembly.root, choice.structure, *counts_,
-                                        sample, false, calibration());
+            p.expected_ns = counted_ns(*trial.built->assembly.root, choice.structure, *counts_,
+                                       sample, calibration());
             trial.row.predicted = p;
         }
     }
@@ -660,7 +660,6 @@ class Run {
     std::vector<Built> built_;
     std::list<Chosen> chosen_;       ///< for the current workload
     std::list<Built> chosen_built_;  ///< those without a variant of the same plan
-    std::vector<Ray> sample_;        ///< of rays_
     std::optional<SceneCounts> counts_;
     std::optional<Pilot> pilot_;
     std::optional<Assembly> reference_;

@@ -43,6 +43,7 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("shapes", ConfigValue::of(s.shapes));
     table.set("spread", array_of({s.ray_spread, s.build_spread}));
     table.set("order", ConfigValue::of(s.order));
+    table.set("thinned", array_of({s.thin_ray, s.thin_build}));
     table.set("counted",
               array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error}));
     ConfigValue growth;
@@ -87,6 +88,8 @@ StructureCosts read_structure(ConfigTable& table) {
     const std::vector<double> spread = required(table, "spread", 2);
     s.ray_spread = spread[0], s.build_spread = spread[1];
     s.order = table.real("order", 1, 1e-9, most);
+    const std::vector<double> thinned = required(table, "thinned", 2);
+    s.thin_ray = thinned[0], s.thin_build = thinned[1];
     const std::vector<double> c = required(table, "counted", 5);
     s.per_ray = c[0], s.per_step = c[1], s.per_test = c[2], s.per_doubling = c[3];
     s.fit_error = c[4];

@@ -63,6 +63,10 @@ struct StructureCosts {
     double per_ray = 0, per_step = 0, per_test = 0, per_doubling = 0;
     double fit_error = 0;  ///< median |predicted / measured - 1| over the calibration's own scenes
 
+    /// Of a scene over itself thinned (see thinned): ns per ray and seconds of the build grow with
+    /// these powers of the numbers of shapes.
+    double thin_ray = 0.15, thin_build = 1;
+
     /// At any number of shapes >= 1.
     GrowthPoint at(double shapes) const;
     /// Nanoseconds of a ray with such counts. @param cache_bytes  what the second cache holds

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "scenegraph/plan_estimate.h"
+
+namespace crofton {
+
+/// What is known about one candidate.
+struct Candidate {
+    PlanChoice choice;
+    CostEstimate predicted;             ///< before its build
+    std::string basis = "counts";       ///< of the prediction: "counts" or "pilot"
+    std::optional<CostEstimate> tried;  ///< from its own structure, once built
+    const CostEstimate& known() const { return tried ? *tried : predicted; }
+};
+
+/// What is known of all candidates, what one that is looked at says of the others, and what it
+/// would be worth to build another. Nothing here is built or timed.
+class Outlook {
+  public:
+    /// @param sample_size  rays that there are to try
+    Outlook(std::vector<Candidate> candidates, const AutoOptions& options, size_t sample_size);
+
+    const std::vector<Candidate>& candidates() const { return candidates_; }
+    const CostEstimate& operator[](size_t i) const { return now_[i]; }
+    size_t size() const { return now_.size(); }
+    /// @throws InputError  nothing fits into the memory
+    size_t best() const { return best_of(now_, options_.objective); }
+    /// Seconds that are expected of the best.
+    double total() const { return now_[best()].total_s; }
+    /// Seconds that choosing may still take.
+    double allowed() const { return options_.share * total() - spent_; }
+    void spend(double seconds) { spent_ += seconds; }
+
+    /// A thinned scene showed this factor on what counts say of ns per ray.
+    void learn_from_pilot(double factor);
+    /// Candidate i was built. @param seen  its costs  @param rays  that were timed; 0: none
+    void learn(size_t i, const CostEstimate& seen, size_t rays);
+
+    /// Rays to try a structure on: a small share of the total.
+    size_t trial_rays(const CostEstimate& e) const;
+    double trial_s(const CostEstimate& e) const {
+        return 1e-9 * e.ns_per_ray * double(trial_rays(e));
+    }
+    /// What to build first: the best estimate; or, if one that is built in no time would teach how
+    /// dear rays are here before that, this one.
+    size_t first() const;
+    /// What to build beside what is held; size() if nothing would pay.
+    size_t next(size_t held) const;
+
+    /// Candidates by expected total, best first. @param i  becomes its index among these
+    std::vector<Candidate> sorted(size_t& i) &&;
+
+  private:
+    double spread_of(size_t i) const;
+    double deviation(size_t i, size_t held) const;
+    double gain(size_t i, size_t held) const;
+    bool affordable(size_t i, size_t held) const;
+    void scale(double factor, double spread);
+
+    std::vector<Candidate> candidates_;
+    std::vector<CostEstimate> now_;  ///< of each candidate, with all that is known
+    const AutoOptions& options_;
+    size_t sample_size_;
+    double scene_variance_ = 0.4;  ///< of ln(ns per ray), common to all structures
+    double spent_ = 0;             ///< seconds of choosing so far, as estimated
+};
+
+}  // namespace crofton

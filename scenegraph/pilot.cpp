@@ -1,0 +1,122 @@
+#include "scenegraph/pilot.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <limits>
+
+#include "scenegraph/thinned.h"
+
+namespace crofton {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr size_t observed_parts = 4;
+constexpr double infinity = std::numeric_limits<double>::infinity();
+
+double seconds_since(Clock::time_point start) {
+    return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+double median(std::vector<double> values) {
+    std::nth_element(values.begin(), values.begin() + long(values.size() / 2), values.end());
+    return values[values.size() / 2];
+}
+
+double placed_shapes(const SceneCounts& counts) {
+    double sum = 0;
+    for (const SceneCounts::Kind& kind : counts.kinds) sum += kind.placed;
+    return std::max(1.0, sum);
+}
+
+double traced_seconds(const Primitive& root, std::span<const Ray> rays, const RaySample& like) {
+    std::vector<uint8_t> results(like.any ? rays.size() : 0);
+    std::vector<Hit> hits(like.any ? 0 : rays.size());
+    const auto start = Clock::now();
+    if (like.any)
+        root.occluded(rays, results, like.mode);
+    else
+        root.intersect(rays, hits, like.mode);
+    return seconds_since(start);
+}
+
+}  // namespace
+
+std::vector<Ray> some_of(std::span<const Ray> rays, size_t count) {
+    constexpr size_t run = 32, parts = observed_parts;
+    count = std::min(count, rays.size());
+    // So many that every part has one.
+    const size_t length = std::clamp<size_t>(count / (4 * parts), 1, run), runs = count / length;
+    std::vector<Ray> out;
+    for (size_t part = 0; part < parts; ++part)
+        for (size_t r = part; r < runs; r += parts) {
+            const size_t first = r * (rays.size() - length) / std::max<size_t>(1, runs - 1);
+            out.insert(out.end(), rays.begin() + long(first), rays.begin() + long(first + length));
+        }
+    return out;
+}
+
+double counted_ns(const Primitive& root, const StructureChoice& structure,
+                  const SceneCounts& counts, const RaySample& sample,
+                  const Calibration& calibration) {
+    Counters sum;
+    for (const Ray& ray : sample.rays) {
+        Counters c;
+        sample.any ? void(root.occluded(ray, c, sample.mode))
+                   : void(root.intersect(ray, c, sample.mode));
+        sum += c;
+    }
+    const StructureCosts* costs = costs_of(structure, counts.main_kind(), calibration);
+    if (!costs) return infinity;
+    const double n = double(sample.rays.size());
+    return costs->counted_ns(double(sum.N_TS) / n, counts.weight * double(sum.N_IT) / n,
+                             double(total_statistics(root).bytes), calibration.cache_bytes);
+}
+
+Pilot::Pilot(const Scene& scene, const SceneCounts& counts, double shapes) : counts_(counts) {
+    double unique = 0;
+    for (const SceneCounts::Kind& kind : counts.kinds) unique += kind.unique;
+    thin_ = thinned(scene, std::max(1.0, unique / shapes));
+    thin_counts_ = count_shapes(thin_);
+}
+
+CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
+                             const RaySample& sample, const AutoOptions& options,
+                             const Calibration& calibration, int builds) const {
+    const CostEstimate thin = crofton::estimate(choice, thin_counts_, options, calibration);
+    CostEstimate full = crofton::estimate(choice, counts_, options, calibration);
+    const StructureCosts* costs = costs_of(choice.structure, counts_.main_kind(), calibration);
+    if (!costs) return full;
+    Assembly assembly = assemble(thin_, plan);
+    std::vector<double> seconds{assembly.build_s};
+    while (seconds.size() < size_t(builds)) {
+        assembly = {};  // never two at a time
+        assembly = assemble(thin_, plan);
+        seconds.push_back(assembly.build_s);
+    }
+    const double growth = placed_shapes(counts_) / placed_shapes(thin_counts_);
+    const double ns = options.clock ? observed_ns(*assembly.root, sample)
+                                    : counted_ns(*assembly.root, choice.structure, thin_counts_,
+                                                 sample, calibration);
+    full.ns_per_ray = ns * std::pow(growth, costs->thin_ray);
+    if (options.clock && !is_lazy(choice.structure))
+        full.build_s = median(std::move(seconds)) * std::pow(growth, costs->thin_build);
+    // A thinned mesh shares few corners, and on shared ones the patches of wide_bvh live.
+    if (choice.structure.type != "wide_bvh")
+        full.bytes *= double(total_statistics(*assembly.root).bytes) / thin.bytes;
+    set_total(full, options.objective);
+    return full;
+}
+
+double observed_ns(const Primitive& root, const RaySample& sample) {
+    const size_t part = std::max<size_t>(1, sample.rays.size() / observed_parts);
+    std::vector<double> ns;
+    for (size_t first = 0; first + part <= sample.rays.size(); first += part)
+        ns.push_back(traced_seconds(root, sample.rays.subspan(first, part), sample) * 1e9 /
+                     double(part));
+    if (ns.size() > 1) ns.erase(ns.begin());  // it warmed up
+    return median(std::move(ns));
+}
+
+}  // namespace crofton

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "framework/primitive.h"
+#include "scenegraph/plan_estimate.h"
+
+namespace crofton {
+
+/// Rays like those that will be traced, in world space, in the order in which they will be: rays
+/// that follow each other may be alike, and then take less time.
+struct RaySample {
+    std::span<const Ray> rays;
+    bool any = false;
+    Mode mode = Mode::robust;
+};
+
+/// Before the scene's own structure is built: a thinned scene's is, and traces the sample; what was
+/// seen is carried over to the scene's counts by the calibration's growth. See thinned.
+/// @param shapes  about so many are left by thinning
+class Pilot {
+  public:
+    Pilot(const Scene& scene, const SceneCounts& counts, double shapes);
+    /// @param plan    that the choice stands for
+    /// @param builds  so many are timed; 1 or more
+    CostEstimate estimate(const PlanChoice& choice, const AssemblyPlan& plan,
+                          const RaySample& sample, const AutoOptions& options,
+                          const Calibration& calibration, int builds = 1) const;
+
+  private:
+    Scene thin_;
+    SceneCounts counts_, thin_counts_;
+};
+
+/// About `count` rays in runs that follow each other as they do in `rays`, the runs spread evenly,
+/// and in such an order that the quarters of the result are so, too.
+std::vector<Ray> some_of(std::span<const Ray> rays, size_t count);
+
+/// Nanoseconds of a ray by what is counted on the sample and by the calibration's constants.
+double counted_ns(const Primitive& root, const StructureChoice& structure,
+                  const SceneCounts& counts, const RaySample& sample,
+                  const Calibration& calibration);
+
+/// Nanoseconds per ray, timed. No ray is traced twice: a processor that has seen a ray's branches
+/// foretells them the second time, and what is to be known is the time of rays that it has not
+/// seen. The first quarter of the sample warms up; of the others' times the median counts.
+/// @param sample  from some_of
+double observed_ns(const Primitive& root, const RaySample& sample);
+
+}  // namespace crofton

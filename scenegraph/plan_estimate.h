@@ -1,0 +1,50 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "accelerators/auto_select.h"
+#include "scenegraph/assemble.h"
+#include "scenegraph/scene_counts.h"
+
+namespace crofton {
+
+/// How a scene's structures are to be chosen.
+struct AutoOptions {
+    Objective objective;
+    /// Above 0, structures that end rays early may be chosen: within so many pixels.
+    double max_error = 0;
+    double pixel_angle = 0;  ///< radians, for max_error
+    /// Times of sampled rays and of builds decide; otherwise counts times the calibration's
+    /// constants, so that the same calibration, scene and sample always give the same choice.
+    bool clock = true;
+    /// Choosing may take at most this share of the total that is expected.
+    double share = 0.05;
+};
+
+/// A whole scene's structures, as a candidate.
+struct PlanChoice {
+    std::string name;  ///< e.g. "flat wide_bvh/lbvh"
+    StructureChoice structure;
+    enum class Placing { flat, nested, opened } placing = Placing::flat;
+};
+PlanChoice plan_choice(const StructureChoice& structure, PlanChoice::Placing placing);
+AssemblyPlan plan_of(const PlanChoice& choice);
+
+/// All ways to assemble a scene that are compared: every structure over everything at once, and,
+/// where several meshes are placed, structures of each mesh's own under a wide_bvh, opened or not.
+std::vector<PlanChoice> plan_choices(const SceneCounts& counts, const AutoOptions& options);
+
+/// A plan as a candidate: what estimates of it are made from.
+PlanChoice plan_choice_of(const AssemblyPlan& plan);
+
+/// Whether a plan leaves everything open: `auto` without parameters on top and for objects, and
+/// nothing else. Then choose_assembly decides for the scene as a whole, with rays at hand; where
+/// only a part is `auto`, that accelerator chooses for its own shapes.
+bool chooses_all(const AssemblyPlan& plan);
+
+/// Before anything is built, from counts alone.
+CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
+                      const AutoOptions& options, const Calibration& calibration);
+
+}  // namespace crofton

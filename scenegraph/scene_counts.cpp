@@ -1,0 +1,196 @@
+#include "scenegraph/scene_counts.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "framework/cost.h"
+
+namespace crofton {
+namespace {
+
+struct ShapeSize {
+    double operator()(const TriangleMesh& m) const { return double(m.triangles.size()); }
+    double operator()(const Quadrics& q) const { return double(q.shapes.size()); }
+    double operator()(const Polygons& p) const { return double(p.size()); }
+    double operator()(const Points& p) const { return double(p.positions.size()); }
+};
+
+/// Points are traced as quadrics.
+const char* kind_of_shapes(const Geometry& geometry) {
+    static constexpr const char* names[] = {"triangles", "quadrics", "polygons", "quadrics"};
+    return names[geometry.shapes.index()];
+}
+
+/// Meshes within a factor of four of each other count as equal ones.
+void add_mesh(SceneCounts& counts, double shapes) {
+    for (auto& [size, meshes] : counts.meshes)
+        if (shapes < 2 * size && size < 2 * shapes) {
+            size += (shapes - size) / (meshes + 1);
+            meshes += 1;
+            return;
+        }
+    counts.meshes.emplace_back(shapes, 1.0);
+}
+
+/// How often every mesh is placed. Paths are counted, not walked: O(nodes) however often shared.
+std::vector<double> placements_of_meshes(const Scene& scene) {
+    std::vector<double> paths(scene.nodes.size(), 0), meshes(scene.meshes.size(), 0);
+    std::vector<uint32_t> parents(scene.nodes.size(), 0), open;
+    std::vector<bool> reached(scene.nodes.size(), false);
+    // Nodes in topological order from the roots: each after all of its parents.
+    for (const uint32_t r : scene.roots) {
+        paths[r] += 1;
+        if (!reached[r]) open.push_back(r), reached[r] = true;
+    }
+    std::vector<uint32_t> found = open;
+    while (!found.empty()) {
+        const uint32_t n = found.back();
+        found.pop_back();
+        for (const uint32_t c : scene.nodes[n].children) {
+            ++parents[c];
+            if (!reached[c]) found.push_back(c), reached[c] = true;
+        }
+    }
+    std::erase_if(open, [&](uint32_t r) { return parents[r] > 0; });
+    while (!open.empty()) {
+        const uint32_t n = open.back();
+        open.pop_back();
+        const Node& node = scene.nodes[n];
+        if (node.mesh)
+            meshes[*node.mesh] +=
+                paths[n] * double(std::max<size_t>(1, node.node_from_instance.size()));
+        for (const uint32_t c : node.children) {
+            paths[c] += paths[n];
+            if (--parents[c] == 0) open.push_back(c);
+        }
+    }
+    return meshes;
+}
+
+/// Middle and area of every kind of shape; the area in any unit.
+struct ShapeView {
+    const Geometry& geometry;
+    size_t size() const { return size_t(std::visit(ShapeSize{}, geometry.shapes)); }
+    Vec3f middle(size_t i) const {
+        if (const auto* m = std::get_if<TriangleMesh>(&geometry.shapes))
+            return m->positions[m->triangles[i][0]];
+        if (const auto* p = std::get_if<Polygons>(&geometry.shapes))
+            return p->positions[p->first[i]];
+        if (const auto* p = std::get_if<Points>(&geometry.shapes)) return p->positions[i];
+        const Quadric& q = std::get<Quadrics>(geometry.shapes).shapes[i];
+        if (const Sphere* s = std::get_if<Sphere>(&q)) return s->center;
+        if (const Cone* c = std::get_if<Cone>(&q)) return c->base;
+        return std::get<Disc>(q).center;
+    }
+    /// Area and nominal cost of a test over that of calibrations: quads, spheres and cones.
+    std::pair<double, double> area_and_cost(size_t i) const {
+        const CostConstants& c = cost_constants;
+        if (const auto* p = std::get_if<Polygons>(&geometry.shapes)) {
+            const uint32_t first = p->first[i], end = p->first[i + 1];
+            Bounds3 box;
+            for (uint32_t k = first; k < end; ++k) box.extend(p->positions[k]);
+            const double quad = c.polygon + 4 * c.polygon_corner;
+            return {half_area(box), (c.polygon + (end - first) * c.polygon_corner) / quad};
+        }
+        if (const auto* q = std::get_if<Quadrics>(&geometry.shapes)) {
+            const double mean = 0.5 * (c.sphere + c.cone);
+            if (const Sphere* s = std::get_if<Sphere>(&q->shapes[i]))
+                return {4.0 * s->radius * s->radius, c.sphere / mean};
+            if (const Cone* k = std::get_if<Cone>(&q->shapes[i]))
+                return {(double(k->base_radius) + k->apex_radius) * (k->base - k->apex).norm(),
+                        c.cone / mean};
+            return {1.0, c.disc / mean};
+        }
+        return {1.0, 1.0};
+    }
+};
+
+const Geometry* largest_geometry(const Scene& scene) {
+    const Geometry* largest = nullptr;
+    for (const Geometry& g : scene.geometries)
+        if (!largest || ShapeView{g}.size() > ShapeView{*largest}.size()) largest = &g;
+    return largest;
+}
+
+/// Half area of the box of eight shapes spread evenly over a run.
+double run_area(const ShapeView& shapes, double first, double count) {
+    Bounds3 box;
+    for (int k = 0; k < 8; ++k) {
+        const Vec3f p = shapes.middle(size_t(first + (k + 0.5) * count / 8));
+        if (p.allFinite()) box.extend(p);
+    }
+    return half_area(box);
+}
+
+}  // namespace
+
+const std::string& SceneCounts::main_kind() const {
+    static const std::string none = "triangles";
+    return kinds.empty() ? none : kinds.front().name;
+}
+
+SceneCounts count_shapes(const Scene& scene) {
+    SceneCounts counts;
+    for (const char* name : {"triangles", "quadrics", "polygons"}) counts.kinds.push_back({name});
+    const std::vector<double> placements = placements_of_meshes(scene);
+    for (size_t m = 0; m < scene.meshes.size(); ++m) {
+        if (placements[m] == 0) continue;
+        double shapes = 0;
+        for (const uint32_t g : scene.meshes[m].geometries) {
+            const Geometry& geometry = scene.geometries[g];
+            const double n = std::visit(ShapeSize{}, geometry.shapes);
+            for (SceneCounts::Kind& kind : counts.kinds)
+                if (kind.name == kind_of_shapes(geometry))
+                    kind.unique += n, kind.placed += n * placements[m];
+            shapes += n;
+        }
+        add_mesh(counts, shapes);
+        counts.placements += placements[m];
+    }
+    std::erase_if(counts.kinds, [](const SceneCounts::Kind& k) { return k.unique == 0; });
+    std::stable_sort(counts.kinds.begin(), counts.kinds.end(),
+                     [](const auto& a, const auto& b) { return a.placed > b.placed; });
+    counts.order = order_visits(scene);
+    return counts;
+}
+
+double order_visits(const Scene& scene) {
+    const Geometry* geometry = largest_geometry(scene);
+    if (!geometry) return 1;
+    const ShapeView shapes{*geometry};
+    const double n = double(shapes.size());
+    Bounds3 all;
+    constexpr int points = 64, runs = 12;
+    if (n < points) return 1;
+    for (int k = 0; k < points; ++k)
+        if (const Vec3f p = shapes.middle(size_t((k + 0.5) * n / points)); p.allFinite())
+            all.extend(p);
+    const double whole = half_area(all);
+    if (!(whole > 0)) return 1;
+    double visits = 0;
+    int levels = 0;
+    for (double count = 8; count * 4 <= n; count *= 8, ++levels) {
+        double area = 0;
+        for (int k = 0; k < runs; ++k) area += run_area(shapes, k * (n - count) / runs, count);
+        visits += n / count * (area / runs) / whole;
+    }
+    return levels > 0 ? std::max(visits / levels, 1e-3) : 1;
+}
+
+double test_weight(const Scene& scene, const std::string& kind) {
+    constexpr size_t most = 512;
+    double sum = 0, areas = 0;
+    for (const Geometry& g : scene.geometries) {
+        const ShapeView shapes{g};
+        if (kind != kind_of_shapes(g)) continue;
+        const size_t n = shapes.size(), step = std::max<size_t>(1, n / most);
+        for (size_t i = 0; i < n; i += step) {
+            const auto [area, cost] = shapes.area_and_cost(i);
+            if (!std::isfinite(area)) continue;
+            sum += double(step) * area * cost, areas += double(step) * area;
+        }
+    }
+    return areas > 0 ? sum / areas : 1;
+}
+
+}  // namespace crofton
