@@ -339,6 +339,32 @@ void set_thinned(StructureCosts& costs, const std::vector<Observation>& observat
     if (n > 0) costs.thin_ray = ray / n, costs.thin_build = build / n;
 }
 
+/// A power of what OrderCost says, by least squares of logarithms. The spread is what is left.
+/// @param nodes  as in fit_counted: whose power holds here, too
+void fit_order(StructureCosts& costs, const std::vector<Observation>& observations,
+               double cache_bytes, const StructureCosts* nodes) {
+    std::vector<std::pair<double, double>> logs;
+    for (const Observation& o : observations) {
+        const OrderCost order = order_cost(o.sample->scene.geometries.front());
+        if (order.share <= 0) continue;
+        const double counted =
+            costs.counted_ns(order.nodes, order.tests, o.structure_bytes, cache_bytes);
+        logs.emplace_back(std::log(counted), std::log(o.ray_ns));
+    }
+    if (logs.empty()) return;
+    double x = 0, y = 0, xx = 0, xy = 0, rest = 0;
+    const double n = double(logs.size());
+    for (const auto& [a, b] : logs) x += a / n, y += b / n;
+    for (const auto& [a, b] : logs) xx += (a - x) * (a - x), xy += (a - x) * (b - y);
+    costs.order_power = nodes ? nodes->order_power : std::clamp(xy / std::max(xx, 1e-9), 0.3, 1.0);
+    costs.order_scale = std::exp(y - costs.order_power * x);
+    for (const auto& [a, b] : logs) {
+        const double d = b - y - costs.order_power * (a - x);
+        rest += d * d / n;
+    }
+    costs.ray_spread = std::sqrt(rest);
+}
+
 /// @param reference  ns per ray of the structure that spreads are relative to, by sample
 StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
                         const std::vector<Observation>& observations,
@@ -348,7 +374,7 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
     costs.structure = choice.name;
     costs.shapes = kind;
     std::vector<CountedRay> counted;
-    std::vector<double> ray_deviations, build_deviations, orders;
+    std::vector<double> ray_deviations, build_deviations;
     // Samples of a size become one point.
     for (size_t begin = 0, end = 0; begin < observations.size(); begin = end) {
         std::vector<double> shapes, build, bytes, ray, relative;
@@ -360,10 +386,7 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
             build.push_back(o.build_ns);
             bytes.push_back(o.bytes);
             ray.push_back(o.ray_ns);
-            // What is due to the order of the shapes is known apart.
-            const double order = uses_order(choice) ? std::sqrt(order_visits(o.sample->scene)) : 1;
-            orders.push_back(order * order);
-            relative.push_back(o.ray_ns / reference.at(o.sample) / order);
+            relative.push_back(o.ray_ns / reference.at(o.sample));
             for (const RayCost& r : o.rays) counted.push_back({r, o.structure_bytes});
         }
         costs.growth.push_back({geometric_mean(shapes), geometric_mean(build),
@@ -373,11 +396,11 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
         for (const double x : build)
             build_deviations.push_back(std::log(x / costs.growth.back().build_ns));
     }
-    costs.order = geometric_mean(orders);
     set_thinned(costs, observations);
     costs.ray_spread = root_mean_square(ray_deviations);
     costs.build_spread = root_mean_square(build_deviations);
     fit_counted(costs, counted, cache_bytes, nodes);
+    if (uses_order(choice)) fit_order(costs, observations, cache_bytes, nodes);
     return costs;
 }
 

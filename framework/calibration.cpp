@@ -42,7 +42,7 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("structure", ConfigValue::of(s.structure));
     table.set("shapes", ConfigValue::of(s.shapes));
     table.set("spread", array_of({s.ray_spread, s.build_spread}));
-    table.set("order", ConfigValue::of(s.order));
+    table.set("order", array_of({s.order_scale, s.order_power}));
     table.set("thinned", array_of({s.thin_ray, s.thin_build}));
     table.set("counted",
               array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error}));
@@ -87,7 +87,8 @@ StructureCosts read_structure(ConfigTable& table) {
     s.shapes = table.string("shapes", "");
     const std::vector<double> spread = required(table, "spread", 2);
     s.ray_spread = spread[0], s.build_spread = spread[1];
-    s.order = table.real("order", 1, 1e-9, most);
+    const std::vector<double> order = required(table, "order", 2);
+    s.order_scale = order[0], s.order_power = order[1];
     const std::vector<double> thinned = required(table, "thinned", 2);
     s.thin_ray = thinned[0], s.thin_build = thinned[1];
     const std::vector<double> c = required(table, "counted", 5);

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <optional>
 
 namespace crofton {
 namespace {
@@ -51,7 +52,7 @@ class Chooser {
         for (size_t next = outlook_.first(); next != outlook_.size();) {
             try_out(next);
             // What was built does not fit: the next best, if there is one.
-            next = holds_one_ ? outlook_.next(held_) : outlook_.best();
+            next = holds_one_ ? next_after_pilots() : outlook_.best();
         }
         out_.choose_s = seconds_since(start) - out_.assembly.build_s;
         finish();
@@ -78,6 +79,37 @@ class Chooser {
             choice, plan_of(choice), {some, sample_.any, sample_.mode}, options_, calibration_);
         const CostEstimate counted = estimate(choice, counts_, options_, calibration_);
         outlook_.learn_from_pilot(seen.ns_per_ray / counted.ns_per_ray);
+    }
+
+    /// What the outlook would build next, after this has been seen on a thinned scene if that is
+    /// much cheaper: how much better a dear build is differs from scene to scene.
+    size_t next_after_pilots() {
+        constexpr double most_of_build = 0.2, per_shape_s = 12e-9;
+        constexpr size_t rays = 2048;
+        while (true) {
+            const size_t next = outlook_.next(held_);
+            if (next == outlook_.size() || outlook_.piloted(next)) return next;
+            const double all = counts_.kinds.front().unique, shapes = std::min(2048.0, all / 8),
+                         share = shapes / all;
+            const CostEstimate &e = outlook_[next], &h = outlook_[held_];
+            const double cost = share * (e.build_s + h.build_s) + (all * per_shape_s) +
+                                1e-9 * double(rays) * (e.ns_per_ray + h.ns_per_ray);
+            if (shapes < 128 || cost > most_of_build * e.build_s || cost > outlook_.allowed())
+                return next;
+            outlook_.spend(cost);
+            if (!dear_pilot_) dear_pilot_.emplace(scene_, counts_, shapes);
+            const double a = piloted_ns(next, rays), b = piloted_ns(held_, rays);
+            outlook_.learn_from_pilots(next, held_, a / b);
+        }
+    }
+
+    double piloted_ns(size_t i, size_t rays) const {
+        const PlanChoice& choice = outlook_.candidates()[i].choice;
+        const std::vector<Ray> some = some_of(sample_.rays, rays);
+        return dear_pilot_
+            ->estimate(choice, plan_of(choice), {some, sample_.any, sample_.mode}, options_,
+                       calibration_)
+            .ns_per_ray;
     }
 
     /// Builds candidate i, looks at it, and keeps the better of it and what was held.
@@ -146,7 +178,8 @@ class Chooser {
     SceneCounts counts_;
     Outlook outlook_;
     Selection out_;
-    size_t held_ = 0;  ///< whose assembly is kept
+    std::optional<Pilot> dear_pilot_;  ///< for what is not built lightly
+    size_t held_ = 0;                  ///< whose assembly is kept
     bool holds_one_ = false;
 };
 

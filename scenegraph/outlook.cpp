@@ -13,6 +13,9 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 /// Standard deviation of one ray's time over its mean.
 constexpr double ray_deviation = 0.8;
 
+/// Standard deviation of ln(ratio) where two structures of a thinned scene were compared.
+constexpr double piloted_spread = 0.07;
+
 /// The standard normal distribution's share below x.
 double normal_share(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
 
@@ -27,7 +30,10 @@ double expected_gain(double known, double mean, double deviation) {
 }  // namespace
 
 Outlook::Outlook(std::vector<Candidate> candidates, const AutoOptions& options, size_t sample_size)
-    : candidates_(std::move(candidates)), options_(options), sample_size_(sample_size) {
+    : candidates_(std::move(candidates)),
+      options_(options),
+      piloted_(candidates_.size()),
+      sample_size_(sample_size) {
     for (const Candidate& c : candidates_) now_.push_back(c.predicted);
 }
 
@@ -54,6 +60,16 @@ void Outlook::learn_from_pilot(double factor) {
         candidates_[i].predicted = now_[i];
         candidates_[i].basis = "pilot";
     }
+}
+
+void Outlook::learn_from_pilots(size_t i, size_t other, double ratio) {
+    piloted_[i] = true;
+    if (!std::isfinite(ratio) || ratio <= 0) return;
+    now_[i].ns_per_ray = now_[other].ns_per_ray * ratio;
+    now_[i].ray_spread = piloted_spread;
+    set_total(now_[i], options_.objective);
+    candidates_[i].predicted = now_[i];
+    candidates_[i].basis = "pilot";
 }
 
 void Outlook::learn(size_t i, const CostEstimate& seen, size_t rays) {
@@ -99,7 +115,7 @@ size_t Outlook::first() const {
 double Outlook::deviation(size_t i, size_t held) const {
     const StructureChoice &a = candidates_[i].choice.structure,
                           &b = candidates_[held].choice.structure;
-    const double least = a.type == b.type ? 0.1 : 0.2;
+    const double least = piloted_[i] ? piloted_spread : a.type == b.type ? 0.1 : 0.2;
     return std::hypot(std::max(least, now_[i].ray_spread), now_[held].ray_spread);
 }
 

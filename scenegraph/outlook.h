@@ -37,6 +37,10 @@ class Outlook {
 
     /// A thinned scene showed this factor on what counts say of ns per ray.
     void learn_from_pilot(double factor);
+    /// A thinned scene showed that candidate i's rays take so many times as long as those of
+    /// candidate `other`.
+    void learn_from_pilots(size_t i, size_t other, double ratio);
+    bool piloted(size_t i) const { return piloted_[i]; }
     /// Candidate i was built. @param seen  its costs  @param rays  that were timed; 0: none
     void learn(size_t i, const CostEstimate& seen, size_t rays);
 
@@ -64,6 +68,7 @@ class Outlook {
     std::vector<Candidate> candidates_;
     std::vector<CostEstimate> now_;  ///< of each candidate, with all that is known
     const AutoOptions& options_;
+    std::vector<bool> piloted_;  ///< beside another one
     size_t sample_size_;
     double scene_variance_ = 0.4;  ///< of ln(ns per ray), common to all structures
     double spent_ = 0;             ///< seconds of choosing so far, as estimated

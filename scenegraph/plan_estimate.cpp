@@ -54,6 +54,16 @@ StructureChoice structure_of(const AcceleratorChoice& accelerator) {
     return {accelerator.type, accelerator.type, accelerator.parameters};
 }
 
+/// Counts of shapes do not say how good their order is; a sample does, of the mesh that it is from.
+void use_order(CostEstimate& e, const OrderCost& order, const StructureCosts& costs,
+               const Calibration& calibration) {
+    if (order.share <= 0 || costs.order_scale <= 0) return;
+    const double counted =
+        costs.counted_ns(order.nodes, order.tests, e.bytes, calibration.cache_bytes);
+    const double ns = costs.order_scale * std::pow(counted, costs.order_power);
+    e.ns_per_ray = std::pow(ns, order.share) * std::pow(e.ns_per_ray, 1 - order.share);
+}
+
 }  // namespace
 
 PlanChoice plan_choice(const StructureChoice& structure, PlanChoice::Placing placing) {
@@ -115,7 +125,7 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
     if (!std::isfinite(e.total_s)) return e;
     if (uses_order(choice.structure))
         if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration))
-            e.ns_per_ray *= std::sqrt(counts.order / costs->order);
+            use_order(e, counts.order, *costs, calibration);
     if (choice.placing != PlanChoice::Placing::flat) {
         const bool opened = choice.placing == PlanChoice::Placing::opened;
         const CostEstimate nested = nested_estimate(

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <span>
 
 #include "framework/cost.h"
 
@@ -67,20 +69,32 @@ std::vector<double> placements_of_meshes(const Scene& scene) {
     return meshes;
 }
 
-/// Middle and area of every kind of shape; the area in any unit.
+/// Box and area of every kind of shape; the area in any unit.
 struct ShapeView {
     const Geometry& geometry;
     size_t size() const { return size_t(std::visit(ShapeSize{}, geometry.shapes)); }
-    Vec3f middle(size_t i) const {
-        if (const auto* m = std::get_if<TriangleMesh>(&geometry.shapes))
-            return m->positions[m->triangles[i][0]];
-        if (const auto* p = std::get_if<Polygons>(&geometry.shapes))
-            return p->positions[p->first[i]];
-        if (const auto* p = std::get_if<Points>(&geometry.shapes)) return p->positions[i];
-        const Quadric& q = std::get<Quadrics>(geometry.shapes).shapes[i];
-        if (const Sphere* s = std::get_if<Sphere>(&q)) return s->center;
-        if (const Cone* c = std::get_if<Cone>(&q)) return c->base;
-        return std::get<Disc>(q).center;
+    Bounds3 bounds(size_t i) const {
+        Bounds3 box;
+        const auto ball = [&](const Vec3f& center, float radius) {
+            box.extend(Vec3f(center - Vec3f::Constant(radius)));
+            box.extend(Vec3f(center + Vec3f::Constant(radius)));
+        };
+        if (const auto* m = std::get_if<TriangleMesh>(&geometry.shapes)) {
+            for (const uint32_t corner : m->triangles[i]) box.extend(m->positions[corner]);
+        } else if (const auto* p = std::get_if<Polygons>(&geometry.shapes)) {
+            for (uint32_t k = p->first[i]; k < p->first[i + 1]; ++k) box.extend(p->positions[k]);
+        } else if (const auto* p = std::get_if<Points>(&geometry.shapes)) {
+            box.extend(p->positions[i]);
+        } else {
+            const Quadric& q = std::get<Quadrics>(geometry.shapes).shapes[i];
+            if (const Sphere* s = std::get_if<Sphere>(&q))
+                ball(s->center, s->radius);
+            else if (const Cone* c = std::get_if<Cone>(&q))
+                ball(c->base, c->base_radius), ball(c->apex, c->apex_radius);
+            else
+                ball(std::get<Disc>(q).center, std::get<Disc>(q).radius);
+        }
+        return box;
     }
     /// Area and nominal cost of a test over that of calibrations: quads, spheres and cones.
     std::pair<double, double> area_and_cost(size_t i) const {
@@ -105,21 +119,27 @@ struct ShapeView {
     }
 };
 
-const Geometry* largest_geometry(const Scene& scene) {
-    const Geometry* largest = nullptr;
-    for (const Geometry& g : scene.geometries)
-        if (!largest || ShapeView{g}.size() > ShapeView{*largest}.size()) largest = &g;
-    return largest;
+/// Box of so many shapes spread evenly over a run.
+Bounds3 run_bounds(const ShapeView& shapes, size_t first, size_t count, size_t spread) {
+    Bounds3 box;
+    for (size_t k = 0; k < spread; ++k) {
+        const Bounds3 one = shapes.bounds(first + (2 * k + 1) * count / (2 * spread));
+        if (one.lower.allFinite() && one.upper.allFinite()) box.extend(one);
+    }
+    return box;
 }
 
-/// Half area of the box of eight shapes spread evenly over a run.
-double run_area(const ShapeView& shapes, double first, double count) {
-    Bounds3 box;
-    for (int k = 0; k < 8; ++k) {
-        const Vec3f p = shapes.middle(size_t(first + (k + 0.5) * count / 8));
-        if (p.allFinite()) box.extend(p);
+/// Mean half area of the boxes of `runs` runs spread evenly over all shapes.
+double mean_area(const ShapeView& shapes, size_t count, size_t runs) {
+    constexpr size_t most = 8;
+    double sum = 0;
+    for (size_t r = 0; r < runs; ++r) {
+        // In the middle of its part: files begin and end with what is not like the rest.
+        const size_t place = (2 * r + 1) * shapes.size() / (2 * runs);
+        const size_t first = std::min(place, shapes.size() - count);
+        sum += half_area(run_bounds(shapes, first, count, std::min(count, most)));
     }
-    return half_area(box);
+    return sum / double(runs);
 }
 
 }  // namespace
@@ -133,6 +153,8 @@ SceneCounts count_shapes(const Scene& scene) {
     SceneCounts counts;
     for (const char* name : {"triangles", "quadrics", "polygons"}) counts.kinds.push_back({name});
     const std::vector<double> placements = placements_of_meshes(scene);
+    const Geometry* largest = nullptr;
+    double most = 0, all = 0;
     for (size_t m = 0; m < scene.meshes.size(); ++m) {
         if (placements[m] == 0) continue;
         double shapes = 0;
@@ -143,6 +165,8 @@ SceneCounts count_shapes(const Scene& scene) {
                 if (kind.name == kind_of_shapes(geometry))
                     kind.unique += n, kind.placed += n * placements[m];
             shapes += n;
+            all += n * placements[m];
+            if (n * placements[m] > most) most = n * placements[m], largest = &geometry;
         }
         add_mesh(counts, shapes);
         counts.placements += placements[m];
@@ -150,31 +174,29 @@ SceneCounts count_shapes(const Scene& scene) {
     std::erase_if(counts.kinds, [](const SceneCounts::Kind& k) { return k.unique == 0; });
     std::stable_sort(counts.kinds.begin(), counts.kinds.end(),
                      [](const auto& a, const auto& b) { return a.placed > b.placed; });
-    counts.order = order_visits(scene);
+    if (largest) {
+        counts.order = order_cost(*largest);
+        counts.order.share *= most / all;
+    }
     return counts;
 }
 
-double order_visits(const Scene& scene) {
-    const Geometry* geometry = largest_geometry(scene);
-    if (!geometry) return 1;
-    const ShapeView shapes{*geometry};
-    const double n = double(shapes.size());
-    Bounds3 all;
-    constexpr int points = 64, runs = 12;
-    if (n < points) return 1;
-    for (int k = 0; k < points; ++k)
-        if (const Vec3f p = shapes.middle(size_t((k + 0.5) * n / points)); p.allFinite())
-            all.extend(p);
-    const double whole = half_area(all);
-    if (!(whole > 0)) return 1;
-    double visits = 0;
-    int levels = 0;
-    for (double count = 8; count * 4 <= n; count *= 8, ++levels) {
-        double area = 0;
-        for (int k = 0; k < runs; ++k) area += run_area(shapes, k * (n - count) / runs, count);
-        visits += n / count * (area / runs) / whole;
-    }
-    return levels > 0 ? std::max(visits / levels, 1e-3) : 1;
+OrderCost order_cost(const Geometry& geometry) {
+    constexpr size_t leaf = 4, width = 8, least = 64;
+    const ShapeView shapes{geometry};
+    const size_t n = shapes.size();
+    if (n < least) return {};
+    // Of leaves many, since a few large ones among small ones weigh most.
+    const size_t leaves = std::clamp<size_t>(n / 64, 8, 256),
+                 runs = std::clamp<size_t>(n / 512, 4, 16);
+    const double whole = half_area(run_bounds(shapes, 0, n, std::min<size_t>(n, 128)));
+    if (!(whole > 0)) return {};
+    const double leaf_visits = double(n) / leaf * mean_area(shapes, leaf, leaves) / whole;
+    OrderCost cost{1 + leaf_visits, leaf * leaf_visits, 1};
+    for (size_t count = leaf * width; count < n; count *= width)
+        cost.nodes +=
+            std::max(1.0, double(n) / double(count) * mean_area(shapes, count, runs) / whole);
+    return std::isfinite(cost.nodes) ? cost : OrderCost{};
 }
 
 double test_weight(const Scene& scene, const std::string& kind) {

@@ -8,6 +8,14 @@
 
 namespace crofton {
 
+/// How good the order of the shapes in a file is as a hierarchy: Crofton's expected numbers of
+/// boxes and of shapes that a line through the largest mesh tests, if the tree above it has nodes
+/// of eight runs of consecutive shapes and leaves of four. The line does not end where it hits.
+struct OrderCost {
+    double nodes = 0, tests = 0;
+    double share = 0;  ///< of all shapes that are placed, those of that mesh; 0: nothing is known
+};
+
 /// Counts of shapes that estimates start from.
 struct SceneCounts {
     struct Kind {
@@ -20,16 +28,14 @@ struct SceneCounts {
     /// many there are of these.
     std::vector<std::pair<double, double>> meshes;
     double placements = 0;
-    double order = 1;   ///< order_visits of the scene
+    OrderCost order;
     double weight = 1;  ///< test_weight of the main kind
 };
 SceneCounts count_shapes(const Scene& scene);
 
-/// How good the order of the shapes in the largest mesh's file is as a hierarchy: Crofton's
-/// expected number of boxes that a line meets, of boxes around runs of 8, 64, 512, … shapes, for
-/// each level; about 1 where runs are patches that lie side by side, more where they are scattered.
-/// From a sample: O(log N).
-double order_visits(const Scene& scene);
+/// Of one list of shapes, from a sample: at most a sixteenth of the shapes, and a thousand. `share`
+/// is 1 if anything is known.
+OrderCost order_cost(const Geometry& geometry);
 
 /// Nominal cost of a test of the scene's main kind of shapes, the mean over their areas, relative
 /// to that of the shapes that calibrations are measured with. From a sample.

@@ -21,7 +21,7 @@ using namespace crofton;
 namespace {
 
 StructureCosts costs(const std::string& name, double build_ns, double bytes, double ray_ns) {
-    return {name, "triangles", {{16, build_ns, bytes, ray_ns}}, 0.1, 0.1, 1, 1, 2, 3, 0.1, 0.05};
+    return {name, "triangles", {{16, build_ns, bytes, ray_ns}}, 0.1, 0.1, 0, 1, 1, 2, 3, 0.1, 0.05};
 }
 
 /// Three structures: cheap to build, compromise, fast to trace.
