@@ -80,16 +80,26 @@ struct AutoParameters {
     }
 };
 
-/// The least costly structure over a set, by the current calibration; nothing is tried.
+/// The least costly structure over a set, by the current calibration; nothing is tried, but what
+/// takes more memory than was expected, and than there is, is built again as the next best.
 std::unique_ptr<Primitive> build_auto(const PrimitiveSet& set, const ParameterValues& values) {
     const AutoParameters p = read_parameters<AutoParameters>(values);
     const Objective objective{p.rays, p.memory, p.priority};
+    std::vector<StructureChoice> choices = structure_choices();
+    // What rays build later cannot be looked at before: it might not fit.
+    if (p.memory > 0) std::erase_if(choices, is_lazy);
     std::vector<CostEstimate> estimates;
-    for (const StructureChoice& choice : structure_choices())
+    for (const StructureChoice& choice : choices)
         estimates.push_back(
             estimate(choice, double(size_of(set)), kind_of(set), objective, calibration()));
-    const StructureChoice& chosen = structure_choices()[best_of(estimates, objective)];
-    return accelerator(chosen.type).build(set, chosen.parameters);
+    while (true) {
+        const size_t best = best_of(estimates, objective);  // refuses when none is left
+        auto built = accelerator(choices[best].type).build(set, choices[best].parameters);
+        if (p.memory <= 0) return built;
+        estimates[best].bytes = double(built->statistics().bytes);
+        if (estimates[best].bytes <= p.memory) return built;
+        set_total(estimates[best], objective);
+    }
 }
 
 bool registered = register_accelerator(

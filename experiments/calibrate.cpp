@@ -346,7 +346,7 @@ void fit_order(StructureCosts& costs, const std::vector<Observation>& observatio
     std::vector<std::pair<double, double>> logs;
     for (const Observation& o : observations) {
         const OrderCost order = order_cost(o.sample->scene.geometries.front());
-        if (order.share <= 0) continue;
+        if (!order.known) continue;
         const double counted =
             costs.counted_ns(order.nodes, order.tests, o.structure_bytes, cache_bytes);
         logs.emplace_back(std::log(counted), std::log(o.ray_ns));

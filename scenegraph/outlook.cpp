@@ -131,16 +131,9 @@ double Outlook::gain(size_t i, size_t held) const {
 }
 
 /// Whether the time for choosing allows to build candidate i, too: of the two builds, the one that
-/// is not used in the end is lost. Which one that is has a probability, and only what is hardly
-/// to be expected may be lost beyond what is allowed.
+/// is not used in the end is lost, whichever that is.
 bool Outlook::affordable(size_t i, size_t held) const {
-    constexpr double unlikely = 0.1;
-    const CostEstimate &e = now_[i], &h = now_[held];
-    const double wins = normal_share(std::log(h.ns_per_ray / e.ns_per_ray) / deviation(i, held));
-    double lost = wins * h.build_s + (1 - wins) * e.build_s;
-    if (wins > unlikely) lost = std::max(lost, h.build_s);
-    if (wins < 1 - unlikely) lost = std::max(lost, e.build_s);
-    return lost + trial_s(e) <= allowed();
+    return std::max(now_[i].build_s, now_[held].build_s) + trial_s(now_[i]) <= allowed();
 }
 
 size_t Outlook::next(size_t held) const {

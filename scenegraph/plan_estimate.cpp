@@ -54,14 +54,14 @@ StructureChoice structure_of(const AcceleratorChoice& accelerator) {
     return {accelerator.type, accelerator.type, accelerator.parameters};
 }
 
-/// Counts of shapes do not say how good their order is; a sample does, of the mesh that it is from.
+/// Counts of shapes do not say how good their order is; a sample does: of the largest mesh,
+/// which stands for all.
 void use_order(CostEstimate& e, const OrderCost& order, const StructureCosts& costs,
                const Calibration& calibration) {
-    if (order.share <= 0 || costs.order_scale <= 0) return;
+    if (!order.known || costs.order_scale <= 0) return;
     const double counted =
         costs.counted_ns(order.nodes, order.tests, e.bytes, calibration.cache_bytes);
-    const double ns = costs.order_scale * std::pow(counted, costs.order_power);
-    e.ns_per_ray = std::pow(ns, order.share) * std::pow(e.ns_per_ray, 1 - order.share);
+    e.ns_per_ray = costs.order_scale * std::pow(counted, costs.order_power);
 }
 
 }  // namespace

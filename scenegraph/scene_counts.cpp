@@ -129,17 +129,25 @@ Bounds3 run_bounds(const ShapeView& shapes, size_t first, size_t count, size_t s
     return box;
 }
 
-/// Mean half area of the boxes of `runs` runs spread evenly over all shapes.
-double mean_area(const ShapeView& shapes, size_t count, size_t runs) {
-    constexpr size_t most = 8;
-    double sum = 0;
-    for (size_t r = 0; r < runs; ++r) {
+/// Expected number of boxes around runs of so many shapes that a line through all of them meets,
+/// from `samples` runs spread evenly.
+/// @param whole  half area of the box of all shapes
+double visits_of_runs(const ShapeView& shapes, size_t count, size_t samples, double whole) {
+    constexpr size_t most_shapes = 8;
+    // A sample stands for so many runs. One that is large is rather a rare one than typical of all
+    // these, and counts as no more than a few visits.
+    constexpr double most_visits = 2;
+    const double stands_for = double(shapes.size()) / double(count * samples);
+    double visits = 0;
+    for (size_t r = 0; r < samples; ++r) {
         // In the middle of its part: files begin and end with what is not like the rest.
-        const size_t place = (2 * r + 1) * shapes.size() / (2 * runs);
+        const size_t place = (2 * r + 1) * shapes.size() / (2 * samples);
         const size_t first = std::min(place, shapes.size() - count);
-        sum += half_area(run_bounds(shapes, first, count, std::min(count, most)));
+        const double area =
+            half_area(run_bounds(shapes, first, count, std::min(count, most_shapes)));
+        visits += std::min(stands_for * area / whole, most_visits);
     }
-    return sum / double(runs);
+    return visits;
 }
 
 }  // namespace
@@ -154,7 +162,7 @@ SceneCounts count_shapes(const Scene& scene) {
     for (const char* name : {"triangles", "quadrics", "polygons"}) counts.kinds.push_back({name});
     const std::vector<double> placements = placements_of_meshes(scene);
     const Geometry* largest = nullptr;
-    double most = 0, all = 0;
+    double most = 0;
     for (size_t m = 0; m < scene.meshes.size(); ++m) {
         if (placements[m] == 0) continue;
         double shapes = 0;
@@ -165,7 +173,6 @@ SceneCounts count_shapes(const Scene& scene) {
                 if (kind.name == kind_of_shapes(geometry))
                     kind.unique += n, kind.placed += n * placements[m];
             shapes += n;
-            all += n * placements[m];
             if (n * placements[m] > most) most = n * placements[m], largest = &geometry;
         }
         add_mesh(counts, shapes);
@@ -174,10 +181,7 @@ SceneCounts count_shapes(const Scene& scene) {
     std::erase_if(counts.kinds, [](const SceneCounts::Kind& k) { return k.unique == 0; });
     std::stable_sort(counts.kinds.begin(), counts.kinds.end(),
                      [](const auto& a, const auto& b) { return a.placed > b.placed; });
-    if (largest) {
-        counts.order = order_cost(*largest);
-        counts.order.share *= most / all;
-    }
+    if (largest) counts.order = order_cost(*largest);
     return counts;
 }
 
@@ -189,13 +193,12 @@ OrderCost order_cost(const Geometry& geometry) {
     // Of leaves many, since a few large ones among small ones weigh most.
     const size_t leaves = std::clamp<size_t>(n / 64, 8, 256),
                  runs = std::clamp<size_t>(n / 512, 4, 16);
-    const double whole = half_area(run_bounds(shapes, 0, n, std::min<size_t>(n, 128)));
+    const double whole = half_area(run_bounds(shapes, 0, n, std::min<size_t>(n, 256)));
     if (!(whole > 0)) return {};
-    const double leaf_visits = double(n) / leaf * mean_area(shapes, leaf, leaves) / whole;
-    OrderCost cost{1 + leaf_visits, leaf * leaf_visits, 1};
+    const double leaf_visits = visits_of_runs(shapes, leaf, leaves, whole);
+    OrderCost cost{1 + leaf_visits, leaf * leaf_visits, true};
     for (size_t count = leaf * width; count < n; count *= width)
-        cost.nodes +=
-            std::max(1.0, double(n) / double(count) * mean_area(shapes, count, runs) / whole);
+        cost.nodes += std::max(1.0, visits_of_runs(shapes, count, runs, whole));
     return std::isfinite(cost.nodes) ? cost : OrderCost{};
 }
 

@@ -13,7 +13,7 @@ namespace crofton {
 /// of eight runs of consecutive shapes and leaves of four. The line does not end where it hits.
 struct OrderCost {
     double nodes = 0, tests = 0;
-    double share = 0;  ///< of all shapes that are placed, those of that mesh; 0: nothing is known
+    bool known = false;
 };
 
 /// Counts of shapes that estimates start from.
@@ -33,8 +33,8 @@ struct SceneCounts {
 };
 SceneCounts count_shapes(const Scene& scene);
 
-/// Of one list of shapes, from a sample: at most a sixteenth of the shapes, and a thousand. `share`
-/// is 1 if anything is known.
+/// Of one list of shapes, from a sample: at most a sixteenth of the shapes, and a thousand. Not
+/// known of few shapes, or of none that has an area.
 OrderCost order_cost(const Geometry& geometry);
 
 /// Nominal cost of a test of the scene's main kind of shapes, the mean over their areas, relative

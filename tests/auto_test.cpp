@@ -1,7 +1,9 @@
 // Calibrations, estimates and choices, all with constants that a test injects: no clock decides.
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
+#include <set>
 
 #include "accelerators/auto_select.h"
 #include "experiments/budget.h"
@@ -277,6 +279,153 @@ TEST_CASE("auto: what is built never takes more than the memory limit") {
     }
     CHECK(fitted > 0);
     CHECK(refused > 0);
+}
+
+TEST_CASE("auto: what rays build later is no candidate where memory is limited") {
+    const SceneCounts counts = count_shapes(make_scene("menger", {{"depth", 4.0}}));
+    const auto lazy = [&](double memory) {
+        const auto choices = plan_choices(counts, counted_for(1e6, memory));
+        return std::count_if(choices.begin(), choices.end(),
+                             [](const PlanChoice& c) { return is_lazy(c.structure); });
+    };
+    CHECK(lazy(0) > 0);
+    CHECK(lazy(1e12) == 0);
+}
+
+TEST_CASE("auto: as an accelerator it keeps to the memory limit whatever was predicted") {
+    // Everything is said to take a byte a shape; lazy ones to be best.
+    Calibration wrong = three();
+    for (const StructureChoice& c : structure_choices())
+        wrong.structures.push_back(costs(c.name, 1, 1, is_lazy(c) ? 1 : 500));
+    for (StructureCosts& c : wrong.structures) c.growth[0].bytes = 1;
+    const InjectedCalibration injected(wrong);
+    const PrimitiveSet set = std::make_shared<const TriangleSet>(strip(20000));
+    int fitted = 0, refused = 0;
+    for (double limit = 2e4; limit < 1e7; limit *= 2) {
+        try {
+            const auto built = accelerator("auto").build(set, {{"memory", limit}});
+            for (const Ray& ray : random_lines({Vec3d(5000, 0, 0), 5000}, 200, 1))
+                built->intersect(ray);
+            CHECK(double(total_statistics(*built).bytes) <= limit);
+            ++fitted;
+        } catch (const InputError&) {
+            ++refused;
+        }
+    }
+    CHECK(fitted > 0);
+    CHECK(refused > 0);
+}
+
+TEST_CASE(
+    "auto: samples are runs of rays as they are traced, and every quarter is spread over all") {
+    std::vector<Ray> rays(10000);
+    for (size_t i = 0; i < rays.size(); ++i) rays[i].origin = Vec3f(float(i), 0, 0);
+    for (const size_t count : {16u, 64u, 1000u, 4096u, 10000u, 20000u}) {
+        const std::vector<Ray> some = some_of(rays, count);
+        INFO(count);
+        CHECK(some.size() <= count);
+        CHECK(some.size() >= std::min<size_t>(count, rays.size()) * 3 / 4);
+        const size_t quarter = some.size() / 4;
+        std::set<float> seen;
+        for (size_t q = 0; q < 4; ++q) {
+            float least = 1e9f, most = 0;
+            for (size_t i = q * quarter; i < (q + 1) * quarter; ++i) {
+                least = std::min(least, some[i].origin.x());
+                most = std::max(most, some[i].origin.x());
+                seen.insert(some[i].origin.x());
+            }
+            CHECK(least <= 4000);
+            CHECK(most >= 6000);
+        }
+        CHECK(seen.size() == 4 * quarter);  // none twice
+    }
+    const std::vector<Ray> some = some_of(rays, 4096);
+    size_t follow = 0;
+    for (size_t i = 1; i < some.size(); ++i)
+        follow += some[i].origin.x() == some[i - 1].origin.x() + 1;
+    CHECK(follow > some.size() * 9 / 10);
+    CHECK(some_of({}, 100).empty());
+}
+
+TEST_CASE("auto: a scattered order of the shapes costs more tests and nodes than a tidy one") {
+    Scene tidy = make_scene("terrain", {{"n", 64.0}});
+    Scene scattered = tidy;
+    auto& triangles = std::get<TriangleMesh>(scattered.geometries[0].shapes).triangles;
+    const size_t n = triangles.size(), step = 4001;  // odd, so that every one has its place
+    auto mixed = triangles;
+    for (size_t i = 0; i < n; ++i) mixed[i] = triangles[i * step % n];
+    triangles = mixed;
+    const OrderCost a = order_cost(tidy.geometries[0]), b = order_cost(scattered.geometries[0]);
+    CHECK(a.known);
+    CHECK(b.nodes > 5 * a.nodes);
+    CHECK(b.tests > 5 * a.tests);
+
+    Calibration c = three();
+    c.structures.push_back(costs("model_hierarchy", 10, 20, 100));
+    c.structures.back().order_scale = 2, c.structures.back().order_power = 0.5;
+    const PlanChoice choice = plan_choice(
+        *std::find_if(structure_choices().begin(), structure_choices().end(),
+                      [](const StructureChoice& s) { return s.name == "model_hierarchy"; }),
+        PlanChoice::Placing::flat);
+    const auto ns = [&](const Scene& scene) {
+        return estimate(choice, count_shapes(scene), counted_for(1e6), c).ns_per_ray;
+    };
+    CHECK(ns(scattered) > 2 * ns(tidy));
+}
+
+TEST_CASE("auto: what a thinned scene's rays cost grows as calibrations say") {
+    const Scene scene = make_scene("terrain", {{"n", 64.0}});
+    const SceneCounts counts = count_shapes(scene);
+    const Pilot pilot(scene, counts, 512);
+    const auto rays = random_lines({Vec3d::Zero(), 1}, 256, 1);
+    const PlanChoice choice = plan_choice(structure_choices()[0], PlanChoice::Placing::flat);
+    const auto ns = [&](double power) {
+        Calibration c = three();
+        c.structures.push_back(costs("wide_bvh", 10, 20, 100));
+        c.structures.back().thin_ray = power;
+        return pilot
+            .estimate(choice, plan_of(choice), {rays, false, Mode::robust}, counted_for(1e6), c)
+            .ns_per_ray;
+    };
+    REQUIRE(choice.structure.name == "wide_bvh");
+    CHECK(ns(0) > 0);
+    CHECK(ns(0.5) / ns(0) == Approx(4));  // 16 times the shapes
+}
+
+namespace {
+
+Candidate candidate(const char* name, double build_s, double ns) {
+    Candidate c;
+    c.choice = plan_choice({name, "bvh", {}}, PlanChoice::Placing::flat);
+    c.predicted = {build_s, 1000, ns, 0, 0.1, true};
+    set_total(c.predicted, {1e6, 0, {}});
+    return c;
+}
+
+}  // namespace
+
+TEST_CASE("auto: no build is tried that would be lost beyond the share of choosing") {
+    // 1e6 rays of 100 ns are 0.1 s: 5 ms may be lost.
+    const AutoOptions options = counted_for(1e6);
+    const auto next = [&](double other_build_s) {
+        Outlook outlook({candidate("held", 0.001, 100), candidate("other", other_build_s, 95)},
+                        options, 10000);
+        outlook.learn(0, outlook[0], 4000);
+        return outlook.next(0);
+    };
+    CHECK(next(0.002) == 1);
+    CHECK(next(0.006) == 2);
+}
+
+TEST_CASE("auto: what two thinned structures show is believed more than what counts say") {
+    const AutoOptions options = counted_for(1e6);
+    Outlook outlook({candidate("held", 0.001, 100), candidate("other", 0.002, 60)}, options, 10000);
+    outlook.learn(0, outlook[0], 4000);
+    REQUIRE(outlook.next(0) == 1);
+    outlook.learn_from_pilots(1, 0, 1.3);
+    CHECK(outlook[1].ns_per_ray == Approx(130));
+    CHECK(outlook.piloted(1));
+    CHECK(outlook.next(0) == 2);  // not worth its build any more
 }
 
 TEST_CASE("auto: without rays to try, and for empty scenes, counts alone decide") {
