@@ -56,7 +56,7 @@ CostEstimate estimate(const StructureCosts* costs, bool lazy, double count,
 const StructureCosts* costs_of(const StructureChoice& choice, const std::string& shapes,
                                const Calibration& calibration);
 bool is_lazy(const StructureChoice& choice);
-/// Whether the order of the shapes in their file makes it good or bad: see order_visits.
+/// Whether the order of the shapes in their file makes it good or bad: see OrderCost.
 bool uses_order(const StructureChoice& choice);
 
 /// Sets total_s and fits from the rest.
