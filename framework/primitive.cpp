@@ -77,10 +77,7 @@ void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one, c
         size_t pause = 1, paused = 0;
         for (; i + RayPacket::most <= rays.size(); i += RayPacket::most) {
             const auto group = rays.subspan(i, RayPacket::most);
-            if (paused > 0) {
-                --paused;
-                for (size_t k = 0; k < group.size(); ++k) one(i + k);
-            } else if (RayPacket::suits(group, bounds_)) {
+            if (paused == 0 && RayPacket::suits(group, bounds_)) {
                 packet.prepare(group, i, magnitude_, mode);
                 for (size_t k = 0; packet.count < group.size() && k < group.size(); ++k)
                     skip(i + k);
@@ -88,6 +85,7 @@ void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one, c
                 paused = worth_it ? 0 : pause;
                 pause = worth_it ? 1 : std::min<size_t>(2 * pause, 64);
             } else {
+                if (paused > 0) --paused;
                 for (size_t k = 0; k < group.size(); ++k) one(i + k);
             }
         }

@@ -76,7 +76,7 @@ struct LocalRay {
 /// Relative widening of a far box distance. Two slab distances carry 3 roundings each, γ3 = 3u; a
 /// leaf test may put a hit 8u·|v - o| outside its triangle. 16u = 2^-20 covers both.
 inline constexpr float box_slack = 0x1p-20f;
-/// A leaf test's t is right within 2^-15 (relative; far better unless the ray grazes the shape), so
+/// A leaf test's t is right within 2^-15 (relative; far better in all modes but `fast`), so
 /// a node is culled only if it begins beyond t·(1 + 2^-14): no order of visits can then change
 /// which hit is found.
 inline constexpr float cull_slack = 0x1p-14f;

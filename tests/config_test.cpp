@@ -237,6 +237,15 @@ TEST_CASE("config: a peer is known by name, and told from our structures") {
     CHECK(file.experiments.at(0).variants.at(1).available);
 }
 
+TEST_CASE("config: variants of one structure, by spans and by single calls, are two") {
+    const ExperimentFile file = read(scene +
+                                     "[[variant]]\nname = \"spans\"\n"
+                                     "[[variant]]\nname = \"calls\"\nsingle = true\n");
+    REQUIRE(file.experiments.at(0).variants.size() == 2);
+    CHECK_FALSE(file.experiments.at(0).variants.at(0).single);
+    CHECK(file.experiments.at(0).variants.at(1).single);
+}
+
 TEST_CASE("config: a scene file that does not exist is refused with what was tried") {
     CHECK(error_of("[scene]\nfile = [\"no1.obj\", \"no2.obj\"]\n")
               .find("test.toml:2:8: file: 'no1.obj', 'no2.obj': none exists") == 0);

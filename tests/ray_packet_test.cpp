@@ -36,10 +36,10 @@ std::vector<Ray> picture(float directions_times) {
     return rays;
 }
 
-std::shared_ptr<const Primitive> bumpy_ground(const char* accelerator_name) {
-    constexpr uint32_t n = 60;
-    const HeightField mesh(n, [](float x, float y) {
-        return Vec3f(x / n, y / n, 0.5f + 0.1f * std::sin(0.9f * x) * std::cos(0.7f * y));
+std::shared_ptr<const Primitive> bumpy_ground(const char* accelerator_name, uint32_t n = 60) {
+    const HeightField mesh(n, [n](float x, float y) {
+        const float height = 0.5f + 0.1f * std::sin(0.9f * x) * std::cos(0.7f * y);
+        return Vec3f(x / float(n), y / float(n), height);
     });
     return accelerator(accelerator_name)
         .build(std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles), {});
@@ -115,6 +115,24 @@ TEST_CASE(
         accelerator("wide_bvh").build(std::make_shared<const ObjectSet>(std::move(objects)), {});
     REQUIRE(top->takes_packets());
     CHECK(check_span(*top, picture(1), Mode::robust) > size_t{width} * height / 2);
+}
+
+TEST_CASE("ray packet: one that passes what its rays do not meet gives up, and nothing is lost") {
+    // Along the ground to the horizon, over the last of which some rays go.
+    const auto ground = bumpy_ground("wide_bvh", 300);
+    std::vector<Ray> rays(RayPacket::most * size_t{40});
+    for (size_t i = 0; i < rays.size(); ++i) {
+        rays[i].origin = Vec3f(-0.2f, 0.02f, 0.56f);
+        rays[i].direction = Vec3f(1, 0.01f + 0.004f * float(i % 16) + 0.02f * float(i / 16),
+                                  1e-4f * float(i % 16 + 1));
+    }
+    const auto first = std::span<const Ray>(rays).first(RayPacket::most);
+    REQUIRE(RayPacket::suits(first, ground->bounds()));
+    RayPacket packet;
+    packet.prepare(first, 0, 2, Mode::robust);
+    REQUIRE(packet.count == RayPacket::most);
+    CHECK_FALSE(ground->closest_packet(packet));
+    CHECK(check_span(*ground, rays, Mode::robust) > 0);
 }
 
 }  // namespace
