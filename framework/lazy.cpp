@@ -1,8 +1,11 @@
 #include "framework/lazy.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <limits>
 #include <numeric>
+#include <utility>
 
 #include "framework/archive.h"
 #include "framework/cost.h"
@@ -16,7 +19,6 @@ namespace crofton {
 namespace {
 
 constexpr int halvings = 4;  ///< of a part into the parts below it: at most 16
-constexpr size_t parallel_size = 1 << 15;
 
 /// Shapes that stay together, as indices in the set.
 struct Part {
@@ -29,80 +31,156 @@ double guessed_cost(uint64_t shapes, double mean_cost) {
     return cost_constants.node * std::log2(double(shapes) + 1) + 2 * mean_cost;
 }
 
-/// Cuts parts where their centres spread most, in the middle of their mean, until there are enough.
-template <class Set>
-class Partition {
+/// Planes that cut space into parts, each where centres spread most, in the middle of their mean.
+class Planes {
   public:
-    Partition(const Set& set, size_t whole_size) : set_(set), whole_size_(whole_size) {}
-
-    std::vector<Part> run() {
-        std::vector<Entry> entries;
-        entries.resize(set_.size());
-        parallel_for(entries.size(), parallel_size, [&](size_t begin, size_t end) {
-            for (size_t i = begin; i < end; ++i) {
-                const uint32_t shape = uint32_t(i);
-                const bool active = set_.active(shape);
-                entries[i].shape = active ? shape : no_id;
-                if (active) entries[i].center = set_.bounds(shape).center();
-            }
-        });
-        std::erase_if(entries, [](const Entry& e) { return e.shape == no_id; });
-        parts_.resize(size_t(1) << halvings);
-        cut(entries, 0, parts_.size());
-        std::erase_if(parts_, [](const Part& p) { return p.shapes.empty(); });
-        return std::move(parts_);
+    /// @param centers  of a sample of the shapes
+    Planes(std::vector<Vec3f> centers, int levels)
+        : levels_(levels), planes_((size_t(1) << levels) - 1) {
+        cut(centers, 0);
+    }
+    size_t parts() const { return planes_.size() + 1; }
+    size_t part_of(const Vec3f& center) const {
+        size_t i = 0;
+        for (int level = 0; level < levels_; ++level)
+            i = 2 * i + 1 + (center[planes_[i].axis] >= planes_[i].position ? 1 : 0);
+        return i - planes_.size();
     }
 
   private:
-    struct Entry {
-        Vec3f center;
-        uint32_t shape;
+    struct Plane {
+        int axis = 0;
+        float position = std::numeric_limits<float>::infinity();  ///< all is below
     };
 
-    /// @param first, count  the parts to fill
-    void cut(std::span<Entry> entries, size_t first, size_t count) {
-        if (count == 1 || entries.size() <= whole_size_) return fill(entries, parts_[first]);
-        const size_t below = divide(entries);
-        const auto left = [&] { cut(entries.first(below), first, count / 2); };
-        const auto right = [&] { cut(entries.subspan(below), first + count / 2, count / 2); };
-        if (entries.size() >= parallel_size) {
-            parallel_invoke(left, right);
-        } else {
-            left();
-            right();
-        }
-    }
-
-    size_t divide(std::span<Entry> entries) const {
+    void cut(std::span<Vec3f> centers, size_t i) {
+        if (i >= planes_.size() || centers.empty()) return;
         Bounds3 spread;
         Vec3d sum = Vec3d::Zero();
-        for (const Entry& e : entries) {
-            spread.extend(e.center);
-            sum += e.center.template cast<double>();
+        for (const Vec3f& c : centers) {
+            spread.extend(c);
+            sum += c.cast<double>();
         }
         int axis;
         (spread.upper.cast<double>() - spread.lower.cast<double>()).maxCoeff(&axis);
-        const float middle = float(sum[axis] / double(entries.size()));
-        const auto end = std::partition(entries.begin(), entries.end(),
-                                        [&](const Entry& e) { return e.center[axis] < middle; });
-        const size_t below = size_t(end - entries.begin());
-        // Few far away, or all in one place: by number.
-        const bool lopsided = std::min(below, entries.size() - below) * 64 < entries.size();
-        return lopsided ? entries.size() / 2 : below;
+        float middle = float(sum[axis] / double(centers.size()));
+        size_t below = divide(centers, axis, middle);
+        // Few far away: by number.
+        if (std::min(below, centers.size() - below) * 64 < centers.size()) {
+            const auto half = centers.begin() + ptrdiff_t(centers.size() / 2);
+            std::nth_element(centers.begin(), half, centers.end(),
+                             [&](const Vec3f& p, const Vec3f& q) { return p[axis] < q[axis]; });
+            middle = (*half)[axis];
+            below = divide(centers, axis, middle);
+        }
+        planes_[i] = {axis, middle};
+        cut(centers.first(below), 2 * i + 1);
+        cut(centers.subspan(below), 2 * i + 2);
+    }
+    static size_t divide(std::span<Vec3f> centers, int axis, float middle) {
+        const auto end = std::partition(centers.begin(), centers.end(),
+                                        [&](const Vec3f& c) { return c[axis] < middle; });
+        return size_t(end - centers.begin());
     }
 
-    void fill(std::span<const Entry> entries, Part& part) const {
-        part.shapes.reserve(entries.size());
-        for (const Entry& e : entries) {
-            part.shapes.push_back(e.shape);
-            part.bounds.extend(set_.bounds(e.shape));
+    int levels_;
+    std::vector<Plane> planes_;  ///< a heap: those of plane i are 2i + 1, below it, and 2i + 2
+};
+
+/// Puts every active shape into one of at most sixteen parts, shapes ascending. One pass over the
+/// shapes finds each one's part by planes between those of a sample, a second one writes them down.
+template <class Set>
+class Partition {
+  public:
+    Partition(const Set& set, size_t whole_size)
+        : set_(set), planes_(sample(), levels(whole_size)) {}
+
+    std::vector<Part> run() {
+        chunks_.resize((set_.size() + chunk_size - 1) / chunk_size);
+        part_of_.resize(set_.size());
+        sort_out([&](uint32_t, const Bounds3& b) { return planes_.part_of(b.center()); });
+        const size_t most = *std::max_element(sizes_.begin(), sizes_.end());
+        const size_t all = std::accumulate(sizes_.begin(), sizes_.end(), size_t{0});
+        // All in one place, or next to it: by number.
+        if (most * 4 > all * 3)
+            sort_out([&](uint32_t i, const Bounds3&) { return i * planes_.parts() / set_.size(); });
+        std::vector<Part> parts = write();
+        std::erase_if(parts, [](const Part& p) { return p.shapes.empty(); });
+        return parts;
+    }
+
+  private:
+    static constexpr size_t chunk_size = 1 << 15, sample_size = 1 << 12;
+    static constexpr size_t most_parts = size_t(1) << halvings;
+    static constexpr uint8_t nowhere = 255;  ///< of what is not active
+    struct Chunk {
+        std::array<Bounds3, most_parts> bounds;
+        std::array<size_t, most_parts> count{};  ///< then where the chunk's shapes go in the part
+    };
+
+    int levels(size_t whole_size) const {
+        const double parts = double(set_.size()) / double(whole_size);
+        return std::clamp(int(std::ceil(std::log2(parts))), 1, halvings);
+    }
+    std::vector<Vec3f> sample() const {
+        const size_t n = std::min<size_t>(set_.size(), sample_size);
+        std::vector<Vec3f> centers;
+        for (size_t k = 0; k < n; ++k) {
+            const uint32_t i = uint32_t(k * set_.size() / n);
+            if (set_.active(i)) centers.push_back(set_.bounds(i).center());
         }
-        std::sort(part.shapes.begin(), part.shapes.end());
+        return centers;
+    }
+    template <class Body>
+    void for_chunks(const Body& body) {
+        parallel_for(chunks_.size(), 1, [&](size_t begin, size_t end) {
+            for (size_t c = begin; c < end; ++c)
+                body(chunks_[c], uint32_t(c * chunk_size),
+                     uint32_t(std::min<size_t>(set_.size(), (c + 1) * chunk_size)));
+        });
+    }
+    /// @param part_of  of a shape by its index and bounds
+    template <class PartOf>
+    void sort_out(const PartOf& part_of) {
+        for_chunks([&](Chunk& chunk, uint32_t begin, uint32_t end) {
+            chunk = {};
+            for (uint32_t i = begin; i < end; ++i) {
+                part_of_[i] = nowhere;
+                if (!set_.active(i)) continue;
+                const Bounds3 b = set_.bounds(i);
+                const size_t part = part_of(i, b);
+                part_of_[i] = uint8_t(part);
+                chunk.bounds[part].extend(b);
+                ++chunk.count[part];
+            }
+        });
+        sizes_ = {};
+        for (const Chunk& chunk : chunks_)
+            for (size_t p = 0; p < most_parts; ++p) sizes_[p] += chunk.count[p];
+    }
+    std::vector<Part> write() {
+        std::vector<Part> parts(most_parts);
+        for (size_t p = 0; p < most_parts; ++p) {
+            parts[p].shapes.resize(sizes_[p]);
+            size_t at = 0;
+            for (Chunk& chunk : chunks_) {
+                parts[p].bounds.extend(chunk.bounds[p]);
+                at += std::exchange(chunk.count[p], at);
+            }
+        }
+        for_chunks([&](Chunk& chunk, uint32_t begin, uint32_t end) {
+            for (uint32_t i = begin; i < end; ++i)
+                if (const size_t p = part_of_[i]; p != nowhere)
+                    parts[p].shapes[chunk.count[p]++] = i;
+        });
+        return parts;
     }
 
     const Set& set_;
-    size_t whole_size_;
-    std::vector<Part> parts_;
+    Planes planes_;
+    std::vector<Chunk> chunks_;
+    std::vector<uint8_t> part_of_;
+    std::array<size_t, most_parts> sizes_{};
 };
 
 struct Extent {
