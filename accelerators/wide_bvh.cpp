@@ -4,6 +4,8 @@
 #define HWY_TARGET_INCLUDE "accelerators/wide_bvh.cpp"
 #include <hwy/foreach_target.h>
 
+#include <hwy/cache_control.h>
+
 #include "framework/accelerator.h"
 #include "framework/patch_test.h"
 
@@ -34,9 +36,9 @@ struct PlaneOffsets {
     }
 };
 
-/// Where a ray enters and leaves some children of a node, as many as a vector has lanes. The ray's
-/// numbers come from memory each time: they are operands of the arithmetic, and leaf tests would
-/// have emptied the registers.
+/// Where a ray enters and leaves some children of a node, as many as a vector has lanes, by one
+/// fused operation a plane: see LocalRay for its error. The ray's numbers come from memory each
+/// time: they are operands of the arithmetic, and leaf tests would have emptied the registers.
 template <class Node>
 class ChildrenTest;
 
@@ -44,7 +46,11 @@ template <>
 class ChildrenTest<WideNode> {
   public:
     explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
-        : ray_(ray), offsets_(ray, offsetof(WideNode, planes), 8 * sizeof(float)) {}
+        : ray_(ray), offsets_(ray, offsetof(WideNode, planes), 8 * sizeof(float)) {
+        const hn::FixedTag<float, 4> f4;
+        hn::Store(hn::Mul(hn::LoadU(f4, ray.near_origin), hn::LoadU(f4, ray.rcp)), f4, enter_);
+        hn::Store(hn::Mul(hn::LoadU(f4, ray.far_origin), hn::LoadU(f4, ray.far_rcp)), f4, leave_);
+    }
 
     /// @param t_near  8 floats: where the ray enters each child
     /// @return bit i: child i may be hit within [t_low, t_cull]
@@ -60,16 +66,16 @@ class ChildrenTest<WideNode> {
                              float* HWY_RESTRICT t_near) const {
         const NodeLanes d;
         const auto* const bytes = reinterpret_cast<const char*>(&node);
-        const auto at = [&](size_t offset, const float& origin, const float& rcp) HWY_ATTR {
+        const auto at = [&](size_t offset, const float& base, const float& rcp) HWY_ATTR {
             const auto plane = hn::Load(d, reinterpret_cast<const float*>(bytes + offset) + first);
-            return hn::Mul(hn::Sub(plane, hn::Set(d, origin)), hn::Set(d, rcp));
+            return hn::MulSub(plane, hn::Set(d, rcp), hn::Set(d, base));
         };
-        const auto x0 = at(offsets_.enter[0], ray_.near_origin[0], ray_.rcp[0]);
-        const auto y0 = at(offsets_.enter[1], ray_.near_origin[1], ray_.rcp[1]);
-        const auto z0 = at(offsets_.enter[2], ray_.near_origin[2], ray_.rcp[2]);
-        const auto x1 = at(offsets_.leave[0], ray_.far_origin[0], ray_.far_rcp[0]);
-        const auto y1 = at(offsets_.leave[1], ray_.far_origin[1], ray_.far_rcp[1]);
-        const auto z1 = at(offsets_.leave[2], ray_.far_origin[2], ray_.far_rcp[2]);
+        const auto x0 = at(offsets_.enter[0], enter_[0], ray_.rcp[0]);
+        const auto y0 = at(offsets_.enter[1], enter_[1], ray_.rcp[1]);
+        const auto z0 = at(offsets_.enter[2], enter_[2], ray_.rcp[2]);
+        const auto x1 = at(offsets_.leave[0], leave_[0], ray_.far_rcp[0]);
+        const auto y1 = at(offsets_.leave[1], leave_[1], ray_.far_rcp[1]);
+        const auto z1 = at(offsets_.leave[2], leave_[2], ray_.far_rcp[2]);
         const auto enter = hn::Max(hn::Max(x0, y0), hn::Max(z0, hn::Set(d, t_low)));
         const auto leave = hn::Min(hn::Min(x1, y1), hn::Min(z1, hn::Set(d, t_cull)));
         hn::Store(enter, d, t_near + first);
@@ -78,6 +84,7 @@ class ChildrenTest<WideNode> {
 
     const LocalRay& ray_;
     PlaneOffsets offsets_;
+    alignas(16) float enter_[4], leave_[4];  ///< near_origin·rcp, far_origin·far_rcp
 };
 
 /// One multiplication and addition a plane: the node's grid is moved to the ray first. The error of
@@ -168,6 +175,18 @@ struct WideBvhTraversal {
         std::memcpy(&t, &bits, 4);
         return t;
     }
+    /// What goes on the stack is needed some steps later: time enough to come from a further cache.
+    template <class Set, class Node>
+    static HWY_INLINE void prefetch(const WideBvh<Set>& bvh, const Node* nodes, uint32_t child) {
+        const auto lines = [](const auto* first, size_t bytes) {
+            const auto* const begin = reinterpret_cast<const char*>(first);
+            for (size_t i = 0; i < bytes; i += 64) hwy::Prefetch(begin + i);
+        };
+        if (!WideChild::is_leaf(child))
+            lines(&node_at(nodes, child), sizeof(Node));
+        else if constexpr (std::is_same_v<Set, TriangleSet>)
+            lines(bvh.leaves.patches() + WideChild::first(child), sizeof(TrianglePatch));
+    }
     static HWY_INLINE void order(Entry& far, Entry& near) {
         // A branch, which lets the next node be loaded before the order is known.
         if (HWY_UNLIKELY(far < near)) std::swap(far, near);
@@ -204,16 +223,19 @@ struct WideBvhTraversal {
                 Entry e1 = entry(node.child[second], t[second]);
                 if constexpr (Q == Query::closest) order(e0, e1);
                 if (HWY_LIKELY(hits == 0)) {
+                    prefetch(bvh, nodes, uint32_t(e0));
                     *top++ = e0;
                     current = uint32_t(e1);
                     continue;
                 }
+                prefetch(bvh, nodes, uint32_t(e0));
                 Entry* const base = top;
                 *top++ = e0;
                 *top++ = e1;
                 do {
                     const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
                     const Entry e = entry(node.child[i], t[i]);
+                    prefetch(bvh, nodes, uint32_t(e));
                     hits &= hits - 1;
                     if constexpr (Q == Query::closest)
                         insert(base, top++, e);

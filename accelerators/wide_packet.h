@@ -35,7 +35,7 @@ class PacketRays {
 
     /// @param planes  of the box: lower x, y, z, upper x, y, z, every eighth float
     /// @param down    whether directions are negative, by axis
-    /// @return bit r: ray r meets the box, as ChildrenTest has it
+    /// @return bit r: ray r may meet the box, see LocalRay
     HWY_INLINE uint32_t meet(const float* planes, const bool (&down)[3]) const {
         uint32_t hits = 0;
         for (size_t r = 0; r < RayPacket::most; r += N) {
@@ -92,7 +92,7 @@ class PacketRays {
 
 /// Where the first of a packet's rays may enter, and the last may leave, some children of a node
 /// (interval arithmetic: Boulos, Wald, Shirley 2006, "Geometric and arithmetic culling methods for
-/// entire ray packets"). Rounding is monotone: a ray's own test finds nothing that this one misses.
+/// entire ray packets"). Rounding is monotone: no ray's meet() finds what this one misses.
 class PacketChildrenTest {
   public:
     explicit HWY_INLINE PacketChildrenTest(const RayPacket& packet, const PacketRays& rays)

@@ -11,6 +11,7 @@
 #include "framework/error.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
+#include "framework/ray_packet.h"
 #include "framework/triangle_set.h"
 
 namespace crofton {
@@ -86,6 +87,44 @@ class EmbreeObject final : public Primitive {
         rtcOccluded1(scene_, &context, &r);
 #endif
         return r.tfar < 0;
+    }
+    /// Sixteen neighbours that go together are one call, with the hint that they do.
+    bool takes_packets() const override { return triangles_ != nullptr; }
+    bool closest_packet(RayPacket& packet) const override {
+        RTCRayHit16 r;
+        alignas(64) int valid[16];
+        fill(packet, r.ray, valid);
+        std::fill_n(r.hit.geomID, 16, RTC_INVALID_GEOMETRY_ID);
+#if RTC_VERSION_MAJOR >= 4
+        RTCIntersectArguments arguments;
+        rtcInitIntersectArguments(&arguments);
+        arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
+        rtcIntersect16(valid, scene_, &r, &arguments);
+#else
+        RTCIntersectContext context = coherent();
+        rtcIntersect16(valid, scene_, &context, &r);
+#endif
+        for (uint32_t i = 0; i < packet.count; ++i)
+            if (r.hit.geomID[i] != RTC_INVALID_GEOMETRY_ID)
+                packet.query[i].record(r.ray.tfar[i], r.hit.u[i], r.hit.v[i], triangles_->ids(),
+                                       r.hit.primID[i]);
+        return true;
+    }
+    bool any_packet(RayPacket& packet) const override {
+        RTCRay16 r;
+        alignas(64) int valid[16];
+        fill(packet, r, valid);
+#if RTC_VERSION_MAJOR >= 4
+        RTCOccludedArguments arguments;
+        rtcInitOccludedArguments(&arguments);
+        arguments.flags = RTC_RAY_QUERY_FLAG_COHERENT;
+        rtcOccluded16(valid, scene_, &r, &arguments);
+#else
+        RTCIntersectContext context = coherent();
+        rtcOccluded16(valid, scene_, &context, &r);
+#endif
+        for (uint32_t i = 0; i < packet.count; ++i) packet.found[i] = r.tfar[i] < 0;
+        return true;
     }
     void closest_local(const LocalRay& ray, RayQuery& q, Counters&) const override {
         closest_local(ray, q);
@@ -168,6 +207,27 @@ class EmbreeObject final : public Primitive {
         r.tfar = q.t_best;
         r.mask = ~0u;
         return r;
+    }
+
+#if RTC_VERSION_MAJOR < 4
+    static RTCIntersectContext coherent() {
+        RTCIntersectContext context;
+        rtcInitIntersectContext(&context);
+        context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
+        return context;
+    }
+#endif
+    static void fill(const RayPacket& packet, RTCRay16& r, int (&valid)[16]) {
+        static_assert(RayPacket::most == 16);
+        for (uint32_t i = 0; i < 16; ++i) {
+            valid[i] = i < packet.count ? -1 : 0;
+            const RTCRay one =
+                i < packet.count ? ray_of(packet.local[i], packet.query[i]) : RTCRay{};
+            r.org_x[i] = one.org_x, r.org_y[i] = one.org_y, r.org_z[i] = one.org_z;
+            r.dir_x[i] = one.dir_x, r.dir_y[i] = one.dir_y, r.dir_z[i] = one.dir_z;
+            r.tnear[i] = one.tnear, r.tfar[i] = one.tfar;
+            r.time[i] = 0, r.mask[i] = one.mask, r.id[i] = 0, r.flags[i] = 0;
+        }
     }
 
     std::shared_ptr<const TriangleSet> triangles_;  ///< or

@@ -2,8 +2,8 @@
 
 #include <hwy/highway.h>
 
-#include <bit>
 #include <cmath>
+#include <cstddef>
 
 namespace crofton {
 namespace {
@@ -11,39 +11,64 @@ namespace {
 // Set-up is the same for every ray and compiled once, for the baseline.
 namespace hn = hwy::HWY_NAMESPACE;
 constexpr hn::FixedTag<float, 4> f4;
+constexpr hn::RebindToUnsigned<decltype(f4)> u4;
+constexpr hn::RebindToSigned<decltype(f4)> i4;
 using Float4 = hn::Vec<decltype(f4)>;
 
 constexpr float pad_share = 0x1p-19f;
 alignas(16) constexpr float last_lane[4] = {0, 0, 0, 1};
+/// What t_min, t_low, t_best and t_cull differ by from the ends, in shares of these.
+alignas(16) constexpr float slack_of_lane[4] = {0, -cull_slack, 0, cull_slack};
+alignas(16) constexpr uint32_t slack_lanes[4] = {0, ~0u, 0, ~0u};
 
-float pow2(int exponent) { return std::bit_cast<float>(uint32_t(exponent + 127) << 23); }
+/// Bits of lanes 0 to 2.
+HWY_INLINE uint32_t lanes3(hn::Mask<decltype(f4)> mask) {
+    uint8_t bits[8];
+    hn::StoreMaskBits(f4, mask, bits);
+    return bits[0] & 7;
+}
 
 /// Whether lanes 0 to 2 of both are neither NaN nor infinite.
-bool finite3(Float4 v, Float4 w) {
+HWY_INLINE bool finite3(Float4 v, Float4 w) {
     const auto zero = hn::Zero(f4);
-    uint8_t bits[8];
-    hn::StoreMaskBits(f4, hn::Eq(hn::Add(hn::Mul(v, zero), hn::Mul(w, zero)), zero), bits);
-    return (bits[0] & 7) == 7;
+    return lanes3(hn::Eq(hn::Add(hn::Mul(v, zero), hn::Mul(w, zero)), zero)) == 7;
 }
 
-/// @param d     a direction; of the query it is d·down. Read from where the caller's ray is, since
-///              what was just stored as a vector is slow to load by component.
-/// @param down  a power of two, and `up` its inverse
-HWY_INLINE void set_shear(RayQuery& q, const float* d, float down, float up) {
-    const float x = std::abs(d[0]), y = std::abs(d[1]), z = std::abs(d[2]);
-    // By arithmetic: which axis is the largest cannot be foretold.
-    const int not_x = int(!(x > y)), not_z = int((x > y ? x : y) > z);
-    q.kz = 2 - not_z * (2 - not_x);
-    static constexpr int next[5] = {0, 1, 2, 0, 1};
-    q.kx = next[q.kz + 1];
-    q.ky = next[q.kz + 2];
-    q.shear_z = 1.0f / d[q.kz] * up;
-    q.shear_x = d[q.kx] * down * q.shear_z;
-    q.shear_y = d[q.ky] * down * q.shear_z;
+/// The order of axes for a ray whose main axis is z, in the forms in which it is needed.
+struct alignas(64) AxisOrder {
+    int32_t axis[4];     ///< kx, ky, kz, and 0
+    uint8_t order[16];   ///< bytes of components x, y, z, z in a vector
+    uint8_t spread[16];  ///< bytes of component z four times
+};
+constexpr AxisOrder axis_order(int z) {
+    AxisOrder a{{(z + 1) % 3, (z + 2) % 3, z, 0}, {}, {}};
+    for (int i = 0; i < 16; ++i) {
+        a.order[i] = uint8_t(4 * a.axis[i / 4 < 2 ? i / 4 : 2] + i % 4);
+        a.spread[i] = uint8_t(4 * z + i % 4);
+    }
+    return a;
 }
+/// By the set of axes (bit a) along which a direction is longest; of several, the last is the main.
+constexpr AxisOrder axis_orders[8] = {axis_order(0), axis_order(0), axis_order(1), axis_order(1),
+                                      axis_order(2), axis_order(2), axis_order(2), axis_order(2)};
 
-/// Whether it may be no normal float once it is scaled.
-bool is_tiny(float t) { return std::abs(t) < 0x1p-100f && t != 0; }
+/// Axis order and shear; and the instance is none.
+/// @param d        direction as the query has it
+/// @param inverse  1/d
+/// @param longest  bits 0 to 2: axes along which it is longest
+HWY_INLINE void set_axes(RayQuery& q, Float4 d, Float4 inverse, uint32_t longest) {
+    static_assert(offsetof(RayQuery, instance) == offsetof(RayQuery, kx) + 12 &&
+                  offsetof(RayQuery, shear_z) == offsetof(RayQuery, shear_x) + 8);
+    const AxisOrder& axes = axis_orders[longest];
+    const hn::Repartition<uint8_t, decltype(f4)> u8;
+    const auto pick = [&](Float4 v, const uint8_t* bytes) HWY_ATTR {
+        return hn::BitCast(f4, hn::TableLookupBytes(hn::BitCast(u8, v), hn::Load(u8, bytes)));
+    };
+    const auto shear_z = pick(inverse, axes.spread);
+    hn::StoreU(hn::Load(i4, axes.axis), i4, &q.kx);  // the fourth is q.instance
+    hn::StoreU(hn::Mul(pick(d, axes.order), shear_z), f4, &q.shear_x);
+    q.shear_z = hn::GetLane(shear_z);
+}
 
 /// Where scaling rounds the ends of the interval, nothing outside of it may be let in.
 void keep_inside(const Ray& ray, float up, float down, RayQuery& q) {
@@ -54,20 +79,40 @@ void keep_inside(const Ray& ray, float up, float down, RayQuery& q) {
     q.set_best(t_max);
 }
 
+/// @param o, d  the ray, whose fourth lanes are t_min and t_max
+HWY_INLINE void set_interval(const Ray& ray, Float4 o, Float4 d, Float4 up, Float4 down,
+                             RayQuery& q) {
+    static_assert(offsetof(RayQuery, t_cull) == offsetof(RayQuery, t_min) + 12);
+    const auto ends = hn::ConcatUpperUpper(f4, hn::Broadcast<3>(d), hn::Broadcast<3>(o));
+    const auto size = hn::Abs(ends);
+    // An end that may be no normal float once it is scaled.
+    const auto tiny = hn::And(hn::Lt(size, hn::Set(f4, 0x1p-100f)), hn::Ne(ends, hn::Zero(f4)));
+    if (HWY_UNLIKELY(!hn::AllFalse(f4, tiny)))
+        return keep_inside(ray, hn::GetLane(up), hn::GetLane(down), q);
+    // Also where an end is infinite: that gets no slack, and its product with 0 is masked.
+    const auto slack = hn::And(hn::Mul(hn::Mul(size, up), hn::Load(f4, slack_of_lane)),
+                               hn::BitCast(f4, hn::Load(u4, slack_lanes)));
+    hn::StoreU(hn::Add(hn::Mul(ends, up), slack), f4, &q.t_min);
+}
+
 /// Everything of a LocalRay that follows from origin, direction and pad.
 /// @param inverse  1/d
 /// @param limit  of |rcp|: a direction component below 1/limit moves the ray by less than the least
 ///               pad over any distance within the object, and may be replaced by that bound
 HWY_INLINE void complete(LocalRay& ray, Float4 o, Float4 d, Float4 inverse, Float4 pad, float t_min,
                          float magnitude, float limit) {
-    const auto replaced = hn::Gt(hn::Abs(inverse), hn::Set(f4, limit));
-    // Enough to move the origin to the next float at least.
+    const auto size = hn::Abs(o);
     pad = hn::Add(hn::Add(pad, hn::Set(f4, 0x1p-40f * magnitude)),
-                  hn::IfThenElseZero(replaced, hn::Mul(hn::Abs(o), hn::Set(f4, 0x1p-22f))));
+                  hn::Mul(size, hn::Set(f4, 0x1p-22f)));
     if (HWY_UNLIKELY(t_min < 0))
-        pad = hn::Add(
-            pad, hn::Mul(hn::Set(f4, 4 * box_slack), hn::Add(hn::Abs(o), hn::Set(f4, magnitude))));
-    const auto rcp = hn::CopySign(hn::Min(hn::Abs(inverse), hn::Set(f4, limit)), d);
+        pad = hn::Add(pad,
+                      hn::Mul(hn::Set(f4, 4 * box_slack), hn::Add(size, hn::Set(f4, magnitude))));
+    auto most = hn::Set(f4, limit);
+    // Far beyond the range that is promised, the product of origin and rcp has to remain a float.
+    const auto product = hn::Mul(hn::Add(size, pad), most);
+    if (HWY_UNLIKELY(!hn::AllFalse(f4, hn::Gt(product, hn::Set(f4, 0x1p124f)))))
+        most = hn::Min(most, hn::Div(hn::Set(f4, 0x1p124f), hn::Add(size, pad)));
+    const auto rcp = hn::CopySign(hn::Min(hn::Abs(inverse), most), d);
     const auto shift = hn::CopySign(pad, rcp);
     hn::StoreU(o, f4, ray.origin);
     hn::StoreU(d, f4, ray.direction);
@@ -84,28 +129,30 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
     static_assert(offsetof(Ray, direction) == 16, "the fourth lanes are t_min and t_max");
     const auto o = hn::LoadU(f4, ray.origin.data());
     const auto d = hn::LoadU(f4, ray.direction.data());
-    const float largest = std::max(std::max(std::abs(ray.direction[0]), std::abs(ray.direction[1])),
-                                   std::abs(ray.direction[2]));
-    if (!(largest > 0) || !(ray.t_min <= ray.t_max) || !finite3(o, d)) return false;
-
+    const auto length = hn::Abs(d);
+    const auto longest = hn::Max(hn::Max(hn::Broadcast<0>(length), hn::Broadcast<1>(length)),
+                                 hn::Broadcast<2>(length));
     // Of a denormal or nearly infinite direction, the power of two itself is no float.
-    const int exponent = int(std::bit_cast<uint32_t>(largest) >> 23) - 127;
-    if (HWY_UNLIKELY(exponent < -126 || exponent > 126)) return false;
-    const float down = pow2(-exponent), up = pow2(exponent);
-    const auto scaled = hn::Mul(d, hn::Set(f4, down));
+    const auto exponent = hn::And(hn::BitCast(u4, longest), hn::Set(u4, 0x7f800000u));
+    const uint32_t exponent_bits = hn::GetLane(exponent);
+    if (HWY_UNLIKELY(exponent_bits - 0x00800000u > 0x7e000000u)) return false;
+    if (HWY_UNLIKELY(!(ray.t_min <= ray.t_max) || !finite3(o, d))) return false;
+    const auto up = hn::BitCast(f4, exponent);
+    const auto down = hn::BitCast(f4, hn::Sub(hn::Set(u4, 0x7f000000u), exponent));
+
+    const auto scaled = hn::Mul(d, down);
     // The quotient does not wait for the power of two. It would be infinite too early for
     // components below 2^-128, which `complete` replaces if they are so much less than the largest.
-    auto inverse = hn::Mul(hn::Div(hn::Set(f4, 1.0f), d), hn::Set(f4, up));
-    if (HWY_UNLIKELY(exponent < -60)) inverse = hn::Div(hn::Set(f4, 1.0f), scaled);
-    hn::StoreU(scaled, f4, q.direction);
-    q.set_min(ray.t_min * up);
-    q.set_best(ray.t_max * up);
-    if (HWY_UNLIKELY(is_tiny(ray.t_min) || is_tiny(ray.t_max))) keep_inside(ray, up, down, q);
-    set_shear(q, ray.direction.data(), down, up);
-    scale = down;
+    auto inverse = hn::Mul(hn::Div(hn::Set(f4, 1.0f), d), up);
+    constexpr uint32_t least = (127 - 60) << 23;
+    if (HWY_UNLIKELY(exponent_bits < least)) inverse = hn::Div(hn::Set(f4, 1.0f), scaled);
     hn::StoreU(o, f4, q.origin);
-    q.instance = 0;
+    hn::StoreU(scaled, f4, q.direction);
+    set_axes(q, scaled, inverse, lanes3(hn::Eq(length, longest)));
+    set_interval(ray, o, d, up, down, q);
+    scale = hn::GetLane(down);
     q.hit_ids = nullptr;
+    q.mode = Mode::robust;
 
     local.frame = nullptr;
     complete(local, o, scaled, inverse, hn::Zero(f4), q.t_min, magnitude, 0x1p60f);

@@ -40,9 +40,13 @@ struct InstanceFrame {
 /// A ray in one object's space, prepared for conservative box tests.
 ///
 /// A plane at b is met at fl(fl(b - near_origin)·rcp) or later and fl(fl(b - far_origin)·far_rcp)
-/// or earlier, the origins shifted by `pad` apart. The shift covers (a) in an instance, the
-/// rounding of its map and of the origin, and (c) the replacement of 1/d by a finite number where d
-/// is 0 or tiny. What a leaf test errs by, (b), is in `box_slack` and in the boxes themselves.
+/// or earlier, the origins shifted by `pad` apart; or, in one operation where there is a fused
+/// one, at fl(fl(b·rcp) - fl(near_origin·rcp)) and so on. The shift covers (a) in an instance, the
+/// rounding of its map and of the origin, (c) the replacement of 1/d by a finite number where d
+/// is 0 or tiny, and (d) the rounding of the two products, which is that of a plane and an origin
+/// moved by u·|b| and u·|o|, b being o + t·d: 2u·|o|, and what is relative to t. A pad of 4u·|o|
+/// moves the origin by 3u·|o| at least, rounded. What a leaf test errs by, (b), is in `box_slack`
+/// and in the boxes themselves.
 ///
 /// As for (b): a test that works with s(v) = fl(fl(v_x - o_x) - fl(sx·fl(v_z - o_z))), z the main
 /// axis of the ray, accepts only rays that meet the triangle of such rounded corners. So there is a
@@ -67,7 +71,8 @@ struct LocalRay {
     float direction[4];
     float near_origin[4];
     float far_origin[4];
-    float rcp[4];                ///< finite: 1/d, or ±2^60/max|d| where |d| is below that
+    float rcp[4];  ///< finite: 1/d, or ±2^60/max|d| where |d| is below that. Its product with an
+                   ///< origin is finite too
     float far_rcp[4];            ///< rcp·(1 + box_slack)
     float pad[4];                ///< half-width of the thick ray that a structure must follow, >= 0
     const InstanceFrame* frame;  ///< null: this is world space (in Mode::exact the identity)
@@ -92,16 +97,16 @@ struct RayQuery {
     float t_cull;  ///< t_best and cull_slack: what begins beyond it cannot matter
     /// Shear of the watertight test (Woop, Benthin, Wald 2013): axis order and factors.
     int kx, ky, kz;
+    uint32_t instance;  ///< sum of the instance offsets on the path to the current object
     float shear_x, shear_y, shear_z;
 
-    Mode mode = Mode::robust;  ///< looked at where a leaf has something for it
-    exact::NearestHit* exact;  ///< of the hit so far; in Mode::exact only, else not set
+    float hit_u, hit_v;      ///< of the hit, if there is one
+    uint32_t hit_shape;      ///< index in the set that was hit
+    const IdTable* hit_ids;  ///< the set that was hit; null: nothing yet
+    uint32_t hit_instance;
 
-    uint32_t instance = 0;  ///< sum of the instance offsets on the path to the current object
-    const IdTable* hit_ids = nullptr;  ///< the set that was hit; null: nothing yet
-    uint32_t hit_shape = 0;            ///< index in that set
-    uint32_t hit_instance = 0;
-    float hit_u = 0, hit_v = 0;
+    Mode mode;                 ///< looked at where a leaf has something for it
+    exact::NearestHit* exact;  ///< of the hit so far; in Mode::exact only, else not set
 
     void set_best(float t) {
         t_best = t;
