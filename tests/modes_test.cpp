@@ -260,4 +260,26 @@ TEST_CASE("modes: fast is right outside its margin") {
     }
 }
 
+TEST_CASE("modes: so far away that the product of origin and 1/d would not be a float") {
+    // Sheets across the x axis, 1e22 away from it, met by rays along it.
+    std::vector<Vec3f> corners;
+    std::vector<std::array<uint32_t, 3>> triangles;
+    for (uint32_t i = 0; i < 64; ++i) {
+        const float x = 1e17f * float(i), y = 1e22f, size = 4e15f;
+        for (const Vec3f& p :
+             {Vec3f(x, y - size, -1e15f), Vec3f(x, y + size, -1e15f), Vec3f(x, y, 2e15f)})
+            corners.push_back(p);
+        triangles.push_back({3 * i, 3 * i + 1, 3 * i + 2});
+    }
+    const PrimitiveSet set = std::make_shared<const TriangleSet>(corners, triangles);
+    for (const auto& [name, info] : accelerators()) {
+        const auto tested = info.build(set, {});
+        for (const float dy : {0.0f, -0.0f, 1e-30f, -1e-30f}) {
+            INFO(name << ", " << dy);
+            const Hit hit = tested->intersect(Ray{{-1e17f, 1e22f, 0}, 0, {1, dy, 0}});
+            CHECK(hit.primitive == 0);
+        }
+    }
+}
+
 }  // namespace crofton
