@@ -355,7 +355,7 @@ class WideWriter {
         stats_.depth = all.height;
         nodes_.resize(all.nodes + 1);
         if constexpr (triangles)
-            leaves_.resize(all.blocks, all.shapes);
+            leaves_.resize(all.blocks, all.ids);
         else
             leaves_.resize(all.shapes);
         write(0, 0, {1, 0, 0}, 0);
@@ -363,17 +363,17 @@ class WideWriter {
 
   private:
     static constexpr bool triangles = std::is_same_v<Set, TriangleSet>;
-    /// Below a wide node. Blocks are patches or references.
+    /// Below a wide node. Blocks are patches or references; ids those that patches list.
     struct Size {
-        uint32_t nodes, blocks, shapes, leaves, height;
+        uint32_t nodes, blocks, ids, shapes, leaves, height;
     };
-    /// Where the next node, block and shape go.
+    /// Where the next node, block and id go.
     struct Place {
-        uint32_t node, block, shape;
+        uint32_t node, block, id;
         void skip(const Size& s) {
             node += s.nodes;
             block += s.blocks;
-            shape += s.shapes;
+            id += s.ids;
         }
     };
 
@@ -399,7 +399,8 @@ class WideWriter {
         for_each(children.count, depth, [&](size_t i) {
             const BinaryTree::Node& node = tree_.nodes[children.node[i]];
             if (node.leaf()) {
-                sizes[i] = {0, blocks(node), node.count, 1, 1};
+                sizes[i] = {0, blocks(node), TrianglePatches::listed_ids(node.count), node.count, 1,
+                            1};
             } else {
                 sizes[i] = measure(children.node[i], depth + 1);
                 ++sizes[i].nodes;
@@ -410,6 +411,7 @@ class WideWriter {
         for (size_t i = 0; i < children.count; ++i) {
             sum.nodes += sizes[i].nodes;
             sum.blocks += sizes[i].blocks;
+            sum.ids += sizes[i].ids;
             sum.shapes += sizes[i].shapes;
             sum.leaves += sizes[i].leaves;
             sum.height = std::max(sum.height, sizes[i].height);
@@ -436,11 +438,11 @@ class WideWriter {
             if (node.leaf()) {
                 child = WideChild::leaf(place.block, blocks(node));
                 if constexpr (triangles)
-                    leaves_.put(set_, shapes(node), place.block, place.shape);
+                    leaves_.put(set_, shapes(node), place.block, place.id);
                 else
                     leaves_.put(shapes(node), place.block);
                 place.block += blocks(node);
-                place.shape += node.count;
+                place.id += TrianglePatches::listed_ids(node.count);
             } else {
                 child = place_of<Node>(place.node);
                 subtrees[inner++] = {c, place.node++, {}};

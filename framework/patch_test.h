@@ -26,10 +26,13 @@ struct PatchTable {
         const hn::Rebind<uint8_t, D> d8;
         const hn::RebindToSigned<D> d32;
         const auto corners = hn::PromoteTo(d32, hn::LoadU(d8, corner));
+        const auto last = hn::Set(d32, int32_t(N) - 1);
         if constexpr (parts == 1) {
-            return hn::TableLookupLanes(part[0], hn::IndicesFromVec(d, corners));
+            // Of spare triangles the bytes may be anything. The permutation reads the lower three
+            // bits; only Highway's check in debug builds minds the others.
+            const auto index = HWY_IS_DEBUG_BUILD ? hn::And(corners, last) : corners;
+            return hn::TableLookupLanes(part[0], hn::IndicesFromVec(d, index));
         } else {
-            const auto last = hn::Set(d32, int32_t(N) - 1);
             const auto index = hn::IndicesFromVec(d, hn::And(corners, last));
             return hn::IfThenElse(hn::RebindMask(d, hn::Gt(corners, last)),
                                   hn::TableLookupLanes(part[1], index),
@@ -66,7 +69,7 @@ template <bool Framed>
 struct PatchLanes {
     using D = PatchTable::D;
     const TrianglePatch& patch;
-    const uint32_t* ids;
+    const uint32_t* ids;  ///< of all patches
     size_t lane;
     const InstanceFrame* frame;
 
@@ -85,7 +88,7 @@ struct PatchLanes {
         const Vec3f corner[3] = {patch.vertex(k, 0), patch.vertex(k, 1), patch.vertex(k, 2)};
         return refine_corners<Framed>(corner, q, frame, t, u, v);
     }
-    HWY_INLINE uint32_t id(uint32_t i) const { return ids[lane + i]; }
+    HWY_INLINE uint32_t id(uint32_t i) const { return patch.id(uint32_t(lane) + i, ids); }
 };
 
 template <Query Q, bool Framed>
@@ -113,7 +116,7 @@ HWY_NOINLINE bool test_patch_exactly(const TrianglePatch& patch, const uint32_t*
         Vec3f v[3];
         for (int k = 0; k < 3; ++k)
             v[k] = apply(ray.frame->world_from_object_f, patch.vertex(i, k));
-        if (exact::test_triangle(Q, v, table, ids[i], q)) return true;
+        if (exact::test_triangle(Q, v, table, patch.id(i, ids), q)) return true;
     }
     return false;
 }
@@ -134,7 +137,7 @@ HWY_INLINE bool test_leaf(const TriangleSet& set, const TrianglePatches& leaves,
     const TrianglePatch* patch = leaves.patches() + first;
     for (const TrianglePatch* const end = patch + count; patch != end; ++patch) {
         counters.test(patch->count);
-        const uint32_t* ids = leaves.ids() + patch->first_id;
+        const uint32_t* ids = leaves.ids();
         const bool found = HWY_UNLIKELY(ray.frame != nullptr)
                                ? test_framed_patch<Q>(*patch, ids, ray, q, set.ids())
                                : test_patch<Q, false>(*patch, ids, ray, q, set.ids());

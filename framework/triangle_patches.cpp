@@ -97,10 +97,10 @@ HWY_INLINE bool add_triangle(Corners& corners, const TriangleSet& set, uint32_t 
 
 /// Packs shapes into patches, each filled with the first of those left that fit.
 /// @param patches  where to; null: nothing is written
-/// @param ids      likewise, of all patches
+/// @param list     ids of all patches; those of these from `first_id` on
 /// @return patches filled
 uint32_t pack(const TriangleSet& set, const uint32_t* shapes, size_t n, TrianglePatch* patches,
-              uint32_t* ids, uint32_t first_id) {
+              uint32_t* list, uint32_t first_id) {
     uint32_t buffer[64], filled = 0;
     for (size_t from = 0; from < n; from += 64) {
         size_t left = std::min<size_t>(64, n - from);
@@ -109,14 +109,14 @@ uint32_t pack(const TriangleSet& set, const uint32_t* shapes, size_t n, Triangle
             Corners corners(
                 Corners::Point(set.coordinates() + size_t{3} * set.triangles()[buffer[0]][0]));
             uint8_t corner[3][TrianglePatch::width] = {};
+            uint32_t ids[TrianglePatch::width];
             size_t kept = 0;
             uint32_t count = 0;
             for (size_t i = 0; i < left; ++i) {
                 uint8_t index[3];
                 if (count < TrianglePatch::width && add_triangle(corners, set, buffer[i], index)) {
                     for (int k = 0; k < 3; ++k) corner[k][count] = index[k];
-                    if (ids) ids[count] = buffer[i];
-                    ++count;
+                    ids[count++] = buffer[i];
                 } else {
                     buffer[kept++] = buffer[i];
                 }
@@ -128,8 +128,12 @@ uint32_t pack(const TriangleSet& set, const uint32_t* shapes, size_t n, Triangle
                 std::memcpy(patch.corner, corner, sizeof corner);
                 patch.count = count;
                 patch.first_id = first_id;
-                first_id += count;
-                ids += count;
+                if (count > TrianglePatch::own_ids) {
+                    std::copy_n(ids, count, list + first_id);
+                    first_id += count;
+                } else {
+                    for (uint32_t i = 0; i < count; ++i) patch.set_own_id(i, ids[i]);
+                }
             }
             ++filled;
         }
@@ -154,14 +158,15 @@ void TrianglePatches::resize(size_t patches, size_t ids) {
 
 void TrianglePatches::put(const TriangleSet& set, std::span<const uint32_t> shapes,
                           uint32_t first_patch, uint32_t first_id) {
+    // Several patches may leave some of it.
+    std::fill_n(ids_.begin() + first_id, listed_ids(shapes.size()), no_id);
     HWY_DYNAMIC_DISPATCH(pack)
-    (set, shapes.data(), shapes.size(), patches_.data() + first_patch, ids_.data() + first_id,
-     first_id);
+    (set, shapes.data(), shapes.size(), patches_.data() + first_patch, ids_.data(), first_id);
 }
 
 uint32_t TrianglePatches::add(const TriangleSet& set, std::span<const uint32_t> shapes) {
     const uint32_t first = size(), first_id = uint32_t(ids_.size());
-    resize(first + count_patches(set, shapes), first_id + shapes.size());
+    resize(first + count_patches(set, shapes), first_id + listed_ids(shapes.size()));
     put(set, shapes, first, first_id);
     return first;
 }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 #include <span>
 
 #include "framework/aligned.h"
@@ -14,9 +15,13 @@ namespace crofton {
 ///
 ///   byte   0  x, y, z of the corners, 8 floats each
 ///         96  corner 0, 1, 2 of the triangles, 8 bytes each: indices of the above
-///        120  number of triangles      124  of their indices in the set, where they begin
+///        120  number of triangles
+///        124  where their ids (indices in the set) begin in a list
+/// Up to four triangles, as most patches have, need no list: their ids are at bytes 100, 108, 116
+/// and 124, where the corners of triangles 4 to 7 would be.
 struct alignas(64) TrianglePatch {
     static constexpr uint32_t width = 8;
+    static constexpr uint32_t own_ids = 4;  ///< triangles at most whose ids are in the patch
     float v[3][width];
     uint8_t corner[3][width];
     uint32_t count;
@@ -25,6 +30,21 @@ struct alignas(64) TrianglePatch {
     Vec3f vertex(uint32_t triangle, int k) const {
         const uint8_t i = corner[k][triangle];
         return {v[0][i], v[1][i], v[2][i]};
+    }
+    /// @param list  of all patches
+    uint32_t id(uint32_t triangle, const uint32_t* list) const {
+        if (count > own_ids) return list[first_id + triangle];
+        uint32_t id;
+        std::memcpy(&id, reinterpret_cast<const char*>(this) + place_of_id(triangle), sizeof id);
+        return id;
+    }
+    void set_own_id(uint32_t triangle, uint32_t id) {
+        std::memcpy(reinterpret_cast<char*>(this) + place_of_id(triangle), &id, sizeof id);
+    }
+
+  private:
+    static constexpr size_t place_of_id(uint32_t triangle) {
+        return sizeof v + width * triangle + own_ids;
     }
 };
 static_assert(sizeof(TrianglePatch) == 128);
@@ -36,7 +56,11 @@ class TrianglePatches {
     uint32_t add(const TriangleSet& set, std::span<const uint32_t> shapes);
     /// Makes room; `put` fills it, in any order.
     void resize(size_t patches, size_t ids);
-    /// Writes a leaf: as many patches as `count_patches` says and an id for each shape.
+    /// Room in the list of ids for a leaf of so many shapes.
+    static uint32_t listed_ids(size_t shapes) {
+        return shapes > TrianglePatch::own_ids ? uint32_t(shapes) : 0;
+    }
+    /// Writes a leaf: as many patches as `count_patches` says, and `listed_ids`.
     void put(const TriangleSet& set, std::span<const uint32_t> shapes, uint32_t first_patch,
              uint32_t first_id);
     /// How many patches some shapes fill.

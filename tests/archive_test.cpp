@@ -146,7 +146,7 @@ TEST_CASE("damaged and foreign files are refused with a line that says why") {
 
     std::string newer = good;
     ++newer[8];
-    CHECK(refusal_of(newer).find("version 2") != std::string::npos);
+    CHECK(refusal_of(newer).find("version 3") != std::string::npos);
 }
 
 }  // namespace crofton
