@@ -7,6 +7,7 @@
 #include <hwy/cache_control.h>
 
 #include "framework/accelerator.h"
+#include "framework/compact_patch_test.h"
 #include "framework/patch_test.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -141,9 +142,11 @@ struct WideBvhTraversal {
     template <Query Q, class Set, class C>
     static bool run(const WideBvh<Set>& bvh, const Set& set, const LocalRay& ray, RayQuery& q,
                     C& counters, TraversalStart start = {}) {
-        if (bvh.format == WideNodes::full)
-            return run_nodes<Q, WideNode>(bvh, set, ray, q, counters, start);
-        return run_nodes<Q, QuantisedNode>(bvh, set, ray, q, counters, start);
+        return with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
+            if (bvh.format == WideNodes::full)
+                return run_nodes<Q, WideNode>(bvh, leaves, set, ray, q, counters, start);
+            return run_nodes<Q, QuantisedNode>(bvh, leaves, set, ray, q, counters, start);
+        });
     }
 
     template <class Set>
@@ -152,7 +155,9 @@ struct WideBvhTraversal {
     }
     template <Query Q, class Set>
     static bool run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
-        if (trace_packet<Q>(bvh, set, packet)) return true;
+        const auto trace = [&](const auto& leaves)
+                               HWY_ATTR { return trace_packet<Q>(bvh, leaves, set, packet); };
+        if (with_leaves(bvh, trace)) return true;
         NoCounters none;
         for (uint32_t r = 0; r < packet.count; ++r)
             packet.found[r] =
@@ -161,6 +166,13 @@ struct WideBvhTraversal {
     }
 
   private:
+    template <class Set, class F>
+    static HWY_INLINE bool with_leaves(const WideBvh<Set>& bvh, const F& f) {
+        if constexpr (std::is_same_v<Set, TriangleSet>)
+            if (bvh.compact) return f(bvh.compact_leaves);
+        return f(bvh.leaves);
+    }
+
     /// A child on the stack: where it is entered in the upper half, so that entries sort as
     /// integers (for t >= 0; below zero the order is merely not the best).
     using Entry = uint64_t;
@@ -192,9 +204,10 @@ struct WideBvhTraversal {
         if (HWY_UNLIKELY(far < near)) std::swap(far, near);
     }
 
-    template <Query Q, class Node, class Set, class C>
-    static HWY_INLINE bool run_nodes(const WideBvh<Set>& bvh, const Set& set, const LocalRay& ray,
-                                     RayQuery& q, C& counters, TraversalStart start) {
+    template <Query Q, class Node, class Set, class Leaves, class C>
+    static HWY_INLINE bool run_nodes(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set,
+                                     const LocalRay& ray, RayQuery& q, C& counters,
+                                     TraversalStart start) {
         const Node* nodes = bvh.begin(static_cast<const Node*>(nullptr));
         if (bvh.box.empty()) return false;
         const ChildrenTest<Node> boxes(ray);
@@ -246,8 +259,8 @@ struct WideBvhTraversal {
             }
             counters.step();
             counters.cell(false);
-            if (test_leaf<Q>(set, bvh.leaves, WideChild::first(current), WideChild::count(current),
-                             ray, q, counters))
+            if (test_leaf<Q>(set, leaves, WideChild::first(current), WideChild::count(current), ray,
+                             q, counters))
                 return true;
         pop:
             do {
@@ -529,8 +542,15 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
         WideWriter(bvh, bvh.nodes, tree, collapse, set).write();
     else
         WideWriter(bvh, bvh.quantised, tree, collapse, set).write();
+    if constexpr (std::is_same_v<Set, TriangleSet>)
+        if (p.leaves == WideLeafForm::compact) {
+            bvh.compact = true;
+            bvh.compact_leaves = CompactPatches(bvh.leaves);
+            bvh.leaves = {};
+        }
     bvh.stats.bytes = bvh.nodes.size() * sizeof(WideNode) +
-                      bvh.quantised.size() * sizeof(QuantisedNode) + bvh.leaves.bytes();
+                      bvh.quantised.size() * sizeof(QuantisedNode) + bvh.leaves.bytes() +
+                      bvh.compact_leaves.bytes();
     return bvh;
 }
 

@@ -3,6 +3,7 @@
 #include "accelerators/leaves.h"
 #include "accelerators/tree_build.h"
 #include "framework/aligned.h"
+#include "framework/compact_patches.h"
 #include "framework/parts.h"
 #include "framework/primitive.h"
 #include "framework/triangle_patches.h"
@@ -10,9 +11,11 @@
 namespace crofton {
 
 enum class WideNodes { full, quantised };
+enum class WideLeafForm { full, compact };
 
 struct WideBvhParameters : TreeParameters {
     WideNodes nodes = WideNodes::full;
+    WideLeafForm leaves = WideLeafForm::full;
 
     WideBvhParameters() { max_leaf_size = 16; }
 
@@ -20,6 +23,8 @@ struct WideBvhParameters : TreeParameters {
     void fields(V& v) {
         v.choice("nodes", nodes, {"full", "quantised"},
                  "child boxes as floats, or as bytes relative to their node");
+        v.choice("leaves", leaves, {"full", "compact"},
+                 "corners of triangles in every leaf, or shared by many; other shapes: no matter");
         TreeParameters::fields(v, 32);
     }
 };
@@ -98,7 +103,9 @@ struct WideBvh {
     WideNodes format = WideNodes::full;
     RawAlignedVector<WideNode> nodes;           ///< format full: the root first
     RawAlignedVector<QuantisedNode> quantised;  ///< format quantised
-    WideLeaves<Set> leaves;
+    bool compact = false;
+    WideLeaves<Set> leaves;         ///< not compact
+    CompactPatches compact_leaves;  ///< compact: the same patches, of triangles
     Bounds3 box;
     double cost = 0;
     StructureStatistics stats;
@@ -106,7 +113,7 @@ struct WideBvh {
     static WideBvh build(const Set& set, const WideBvhParameters& parameters);
     template <class A>
     void archive(A& a) {
-        a(format, nodes, quantised, leaves, box, cost, stats);
+        a(format, nodes, quantised, compact, leaves, compact_leaves, box, cost, stats);
     }
     const Bounds3& bounds() const { return box; }
     double expected_cost(const Set&) const { return cost; }
@@ -147,9 +154,10 @@ struct WideBvh {
     uint32_t leaf_size(uint32_t child) const {
         uint32_t count = WideChild::count(child);
         if constexpr (std::is_same_v<Set, TriangleSet>) {
-            const TrianglePatch* const first = leaves.patches() + WideChild::first(child);
+            const uint32_t first = WideChild::first(child), end = first + count;
             count = 0;
-            for (uint32_t i = 0; i < WideChild::count(child); ++i) count += first[i].count;
+            for (uint32_t i = first; i < end; ++i)
+                count += compact ? compact_leaves.count(i) : leaves.count(i);
         }
         return count;
     }

@@ -151,8 +151,9 @@ class PacketChildrenTest {
 /// two for every ray that has met a leaf.
 /// @return  false: it took more than that and gave up; its rays have still to be traced, from the
 ///          root, with what they found so far
-template <Query Q, class Set>
-bool trace_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
+template <Query Q, class Set, class Leaves>
+bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set,
+                  RayPacket& packet) {
     constexpr int free_visits = 32;
     if (bvh.box.empty() || packet.count == 0) return true;
     int visits_left = free_visits;
@@ -195,7 +196,7 @@ bool trace_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
             visits_left += 2;
             RayQuery& q = packet.query[r];
             const float before = q.t_cull;
-            const bool found = test_leaf<Q>(set, bvh.leaves, WideChild::first(open.child),
+            const bool found = test_leaf<Q>(set, leaves, WideChild::first(open.child),
                                             WideChild::count(open.child), packet.local[r], q, none);
             if (Q == Query::any && found) packet.found[r] = true;
             if (found || q.t_cull != before) {

@@ -48,8 +48,8 @@ struct ShearedPatch {
     using D = PatchTable::D;
     PatchTable x, y, z;
 
-    HWY_INLINE ShearedPatch(const TrianglePatch& patch, const RayQuery& q,
-                            const InstanceFrame* frame) {
+    template <class Patch>
+    HWY_INLINE ShearedPatch(const Patch& patch, const RayQuery& q, const InstanceFrame* frame) {
         const D d;
         const auto sx = hn::Set(d, q.shear_x), sy = hn::Set(d, q.shear_y);
         for (size_t p = 0; p < PatchTable::parts; ++p) {
@@ -64,11 +64,11 @@ struct ShearedPatch {
     }
 };
 
-/// N triangles of a patch, for test_corners.
-template <bool Framed>
+/// N triangles of a patch (a TrianglePatch or a FetchedPatch), for test_corners.
+template <bool Framed, class Patch>
 struct PatchLanes {
     using D = PatchTable::D;
-    const TrianglePatch& patch;
+    const Patch& patch;
     const uint32_t* ids;  ///< of all patches
     size_t lane;
     const InstanceFrame* frame;
@@ -91,8 +91,8 @@ struct PatchLanes {
     HWY_INLINE uint32_t id(uint32_t i) const { return patch.id(uint32_t(lane) + i, ids); }
 };
 
-template <Query Q, bool Framed>
-HWY_INLINE bool test_patch(const TrianglePatch& patch, const uint32_t* ids, const LocalRay& ray,
+template <Query Q, bool Framed, class Patch>
+HWY_INLINE bool test_patch(const Patch& patch, const uint32_t* ids, const LocalRay& ray,
                            RayQuery& q, const IdTable& table) {
     using D = PatchTable::D;
     const ShearedPatch<Framed> s(patch, q, ray.frame);
@@ -103,15 +103,15 @@ HWY_INLINE bool test_patch(const TrianglePatch& patch, const uint32_t* ids, cons
             y[k] = s.y.lookup(patch.corner[k] + lane);
         }
         const auto depth = [&](int k) HWY_ATTR { return s.z.lookup(patch.corner[k] + lane); };
-        const PatchLanes<Framed> source{patch, ids, lane, ray.frame};
+        const PatchLanes<Framed, Patch> source{patch, ids, lane, ray.frame};
         if (test_corners<Q>(D(), x, y, depth, source, q, table)) return true;
     }
     return false;
 }
 
-template <Query Q>
-HWY_NOINLINE bool test_patch_exactly(const TrianglePatch& patch, const uint32_t* ids,
-                                     const LocalRay& ray, RayQuery& q, const IdTable& table) {
+template <Query Q, class Patch>
+HWY_NOINLINE bool test_patch_exactly(const Patch& patch, const uint32_t* ids, const LocalRay& ray,
+                                     RayQuery& q, const IdTable& table) {
     for (uint32_t i = 0; i < patch.count; ++i) {
         Vec3f v[3];
         for (int k = 0; k < 3; ++k)
@@ -122,9 +122,9 @@ HWY_NOINLINE bool test_patch_exactly(const TrianglePatch& patch, const uint32_t*
 }
 
 /// See test_framed_block.
-template <Query Q>
-HWY_NOINLINE bool test_framed_patch(const TrianglePatch& patch, const uint32_t* ids,
-                                    const LocalRay& ray, RayQuery& q, const IdTable& table) {
+template <Query Q, class Patch>
+HWY_NOINLINE bool test_framed_patch(const Patch& patch, const uint32_t* ids, const LocalRay& ray,
+                                    RayQuery& q, const IdTable& table) {
     if (HWY_UNLIKELY(q.mode == Mode::exact))
         return test_patch_exactly<Q>(patch, ids, ray, q, table);
     return test_patch<Q, true>(patch, ids, ray, q, table);

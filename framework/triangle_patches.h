@@ -70,6 +70,7 @@ class TrianglePatches {
         a(patches_, ids_);
     }
     uint32_t size() const { return uint32_t(patches_.size()); }
+    uint32_t count(uint32_t patch) const { return patches_[patch].count; }
     const TrianglePatch* patches() const { return patches_.data(); }
     const uint32_t* ids() const { return ids_.data(); }
     uint64_t bytes() const {

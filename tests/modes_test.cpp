@@ -122,10 +122,15 @@ TEST_CASE("modes: every accelerator returns brute force's bits in robust, double
     for (const test::HardScene& scene : test::hard_scenes()) {
         const auto reference = accelerator("brute_force").build(scene.set, {});
         for (const auto& [name, info] : accelerators()) {
-            const auto tested = info.build(scene.set, {});
-            for (const Mode mode : careful_modes) {
-                INFO(name << " in " << name_of(mode) << " over " << scene.name);
-                CHECK(different_hits(*reference, *tested, scene.rays, mode) == 0);
+            std::vector<ParameterValues> variants{{}};
+            if (name == "wide_bvh") variants.push_back({{"leaves", std::string("compact")}});
+            for (const ParameterValues& values : variants) {
+                const auto tested = info.build(scene.set, values);
+                for (const Mode mode : careful_modes) {
+                    INFO(name << (values.empty() ? "" : ", compact") << " in " << name_of(mode)
+                              << " over " << scene.name);
+                    CHECK(different_hits(*reference, *tested, scene.rays, mode) == 0);
+                }
             }
         }
     }

@@ -36,13 +36,14 @@ std::vector<Ray> picture(float directions_times) {
     return rays;
 }
 
-std::shared_ptr<const Primitive> bumpy_ground(const char* accelerator_name, uint32_t n = 60) {
+std::shared_ptr<const Primitive> bumpy_ground(const char* accelerator_name, uint32_t n = 60,
+                                              const ParameterValues& values = {}) {
     const HeightField mesh(n, [n](float x, float y) {
         const float height = 0.5f + 0.1f * std::sin(0.9f * x) * std::cos(0.7f * y);
         return Vec3f(x / float(n), y / float(n), height);
     });
     return accelerator(accelerator_name)
-        .build(std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles), {});
+        .build(std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles), values);
 }
 
 /// Checks that spans give what single calls give. @return how many rays hit
@@ -92,13 +93,16 @@ TEST_CASE("ray packet: rays that start together and go one way suit") {
 }
 
 TEST_CASE("ray packet: pictures as spans give the single calls' hits, in every mode") {
-    const auto ground = bumpy_ground("wide_bvh");
-    REQUIRE(ground->takes_packets());
-    for (const float times : {1.0f, 1e-20f, 3e15f})
-        for (const Mode mode : {Mode::fast, Mode::robust, Mode::double_precision, Mode::exact}) {
-            INFO(name_of(mode) << ", directions times " << times);
-            CHECK(check_span(*ground, picture(times), mode) > size_t{width} * height / 2);
-        }
+    for (const std::string leaves : {"full", "compact"}) {
+        const auto ground = bumpy_ground("wide_bvh", 60, {{"leaves", leaves}});
+        REQUIRE(ground->takes_packets());
+        for (const float times : {1.0f, 1e-20f, 3e15f})
+            for (const Mode mode :
+                 {Mode::fast, Mode::robust, Mode::double_precision, Mode::exact}) {
+                INFO(leaves << ", " << name_of(mode) << ", directions times " << times);
+                CHECK(check_span(*ground, picture(times), mode) > size_t{width} * height / 2);
+            }
+    }
 }
 
 TEST_CASE(

@@ -1,6 +1,8 @@
-#include "framework/triangle_patches.h"
+#include "framework/compact_patches.h"
 
+#include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <fstream>
 #include <iterator>
 #include <map>
@@ -73,7 +75,73 @@ TEST_CASE("triangle patches: neighbours share corners, and every triangle is in 
     check_patches(soup(70), 35);
 }
 
-TEST_CASE("triangle patches: a mesh in wide_bvh takes at most 43 bytes a triangle, 38 quantised") {
+/// Compact patches of the same triangles: corners by their bits, ids, and no more vertices than
+/// asked.
+void check_compact(const TriangleSet& set, size_t most_vertices) {
+    TrianglePatches full;
+    const std::vector<uint32_t> shapes = all(set);
+    for (size_t i = 0; i < shapes.size(); i += 16)
+        full.add(set, std::span(shapes).subspan(i, std::min<size_t>(16, shapes.size() - i)));
+    const CompactPatches compact(full);
+    REQUIRE(compact.size() == full.size());
+    size_t wrong = 0;
+    uint32_t vertices = 0;
+    for (uint32_t p = 0; p < full.size(); ++p) {
+        const TrianglePatch& a = full.patches()[p];
+        const CompactPatch& b = compact.patches()[p];
+        REQUIRE(a.count == b.count());
+        for (uint32_t i = 0; i < a.count; ++i) {
+            wrong += a.id(i, full.ids()) != b.id(i, compact.ids());
+            for (uint32_t k = 0; k < 3; ++k) {
+                const uint32_t at = b.vertex(i, k);
+                const Vec3f corner = a.vertex(i, int(k));
+                wrong += std::memcmp(compact.vertices() + size_t{3} * at, &corner, 12) != 0;
+                vertices = std::max(vertices, at + 1);
+            }
+        }
+    }
+    CHECK(wrong == 0);
+    CHECK(vertices <= most_vertices);
+}
+
+TEST_CASE("compact patches: the same corners and ids; vertices are shared within reach") {
+    check_compact(strip(6), 8);
+    check_compact(strip(100000), 101000);
+    check_compact(soup(70), 210);
+    check_compact(TriangleSet(), 0);
+    // Zero has two signs, which are two positions.
+    check_compact(TriangleSet({{0, 0, 0}, {-0.0f, 0, 0}, {1, 0, 0}}, {{0, 1, 2}, {2, 1, 0}}), 3);
+    // Rows that begin again at the same corners are beyond reach if they are long.
+    const auto rows = [](uint32_t length) {
+        std::vector<Vec3f> corners;
+        std::vector<TriangleSet::Indices> triangles;
+        for (uint32_t k = 0; k < length + 2; ++k)
+            corners.emplace_back(float(k / 2), float(k % 2), 0.0f);
+        for (int row = 0; row < 8; ++row)
+            for (uint32_t k = 0; k < length; ++k) triangles.push_back({k, k + 1, k + 2});
+        return TriangleSet(corners, triangles);
+    };
+    check_compact(rows(100), 102);
+    check_compact(rows(1000), 8 * 1002);
+    // Neighbours whose ids are far apart have a list.
+    std::vector<TriangleSet::Indices> apart(100000, {0, 1, 2});
+    for (size_t i = 0; i < apart.size(); i += 2) apart[i] = {1, 2, 3};
+    const TriangleSet set({{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 1}}, apart);
+    TrianglePatches full;
+    const std::vector<uint32_t> near{3, 5, 7}, far{2, 70000}, most{9, 65544}, more{9, 65545};
+    for (const auto* leaf : {&near, &far, &most, &more}) full.add(set, *leaf);
+    const CompactPatches compact(full);
+    REQUIRE(compact.size() == 4);
+    uint32_t p = 0;
+    for (const auto* leaf : {&near, &far, &most, &more}) {
+        for (uint32_t i = 0; i < leaf->size(); ++i)
+            CHECK(compact.patches()[p].id(i, compact.ids()) == (*leaf)[i]);
+        ++p;
+    }
+    CHECK(compact.bytes() == 4 * sizeof(CompactPatch) + (4 * 3 + 1) * 4 + 4 * 4);
+}
+
+TEST_CASE("triangle patches: a mesh in wide_bvh takes at most 43 bytes a triangle, 27 compact") {
     constexpr uint32_t n = 128;
     const HeightField mesh(
         n, [](float x, float y) { return Vec3f(x, y, 8 * std::sin(0.1f * (x * x + 3 * y))); });
@@ -82,7 +150,10 @@ TEST_CASE("triangle patches: a mesh in wide_bvh takes at most 43 bytes a triangl
         return double(accelerator("wide_bvh").build(set, values)->statistics().bytes) / (2 * n * n);
     };
     CHECK(bytes({}) <= 43);
-    CHECK(bytes({{"nodes", std::string("quantised")}}) <= 38);
+    const auto text = [](const char* value) { return std::string(value); };
+    CHECK(bytes({{"nodes", text("quantised")}}) <= 38);
+    CHECK(bytes({{"leaves", text("compact")}}) <= 27);
+    CHECK(bytes({{"nodes", text("quantised")}, {"leaves", text("compact")}}) <= 21.5);
 }
 
 TEST_CASE("a wide_bvh is the same, byte for byte, for any number of threads") {
@@ -100,10 +171,11 @@ TEST_CASE("a wide_bvh is the same, byte for byte, for any number of threads") {
         return std::string(std::istreambuf_iterator<char>(in), {});
     };
     for (const std::string builder : {"lbvh", "binned_sah", "sbvh"})
-        for (const std::string nodes : {"full", "quantised"}) {
-            INFO(builder << ", " << nodes);
+        for (const std::string form : {"full", "quantised", "compact"}) {
+            INFO(builder << ", " << form);
+            const bool compact = form == "compact";
             const ParameterValues values{{"builder", builder},
-                                         {"nodes", nodes},
+                                         {compact ? "leaves" : "nodes", form},
                                          {"reinsertion", int64_t(builder == "sbvh")}};
             const std::string one = saved(1, values), four = saved(4, values);
             CHECK(one.size() > 1000000);
