@@ -155,13 +155,17 @@ struct WideBvhTraversal {
     }
     template <Query Q, class Set>
     static bool run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
-        const auto trace = [&](const auto& leaves)
-                               HWY_ATTR { return trace_packet<Q>(bvh, leaves, set, packet); };
-        if (with_leaves(bvh, trace)) return true;
         NoCounters none;
-        for (uint32_t r = 0; r < packet.count; ++r)
+        const auto alone = [&](uint32_t r) HWY_ATTR {
             packet.found[r] =
-                packet.found[r] || run<Q>(bvh, set, packet.local[r], packet.query[r], none);
+                run<Q>(bvh, set, packet.local[r], packet.query[r], none) || packet.found[r];
+        };
+        const auto trace = [&](const auto& leaves) HWY_ATTR {
+            return trace_packet<Q>(bvh, leaves, set, packet, alone);
+        };
+        if (with_leaves(bvh, trace)) return true;
+        for (uint32_t r = 0; r < packet.count; ++r)
+            if (!packet.found[r]) alone(r);
         return false;
     }
 

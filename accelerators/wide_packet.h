@@ -6,89 +6,11 @@
 #define CROFTON_ACCELERATORS_WIDE_PACKET_H_
 #endif
 
+#include "accelerators/packet_leaves.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
-
-/// A packet's rays side by side.
-class PacketRays {
-  public:
-    explicit HWY_INLINE PacketRays(const RayPacket& packet) {
-        for (uint32_t r = 0; r < RayPacket::most; ++r) {
-            const bool used = r < packet.count;
-            const LocalRay& ray = packet.local[used ? r : 0];
-            for (int a = 0; a < 3; ++a) {
-                near_origin_[a][r] = ray.near_origin[a];
-                far_origin_[a][r] = ray.far_origin[a];
-                rcp_[a][r] = ray.rcp[a];
-                far_rcp_[a][r] = ray.far_rcp[a];
-            }
-            t_low_[r] = used ? packet.query[r].t_low : INFINITY;
-            t_cull_[r] = used ? packet.query[r].t_cull : -INFINITY;
-        }
-    }
-    /// Ray r goes no further than this; -inf: it looks for nothing any more.
-    void set_cull(uint32_t r, float t) { t_cull_[r] = t; }
-
-    float least_t_low() const { return reduce(t_low_, false); }
-    float most_t_cull() const { return reduce(t_cull_, true); }
-
-    /// @param planes  of the box: lower x, y, z, upper x, y, z, every eighth float
-    /// @param down    whether directions are negative, by axis
-    /// @return bit r: ray r may meet the box, see LocalRay
-    HWY_INLINE uint32_t meet(const float* planes, const bool (&down)[3]) const {
-        uint32_t hits = 0;
-        for (size_t r = 0; r < RayPacket::most; r += N) {
-            auto enter = hn::Load(d, t_low_ + r), leave = hn::Load(d, t_cull_ + r);
-            for (size_t a = 0; a < 3; ++a) {
-                const auto in = hn::Set(d, planes[8 * (down[a] ? a + 3 : a)]);
-                const auto out = hn::Set(d, planes[8 * (down[a] ? a : a + 3)]);
-                enter = hn::Max(enter, hn::Mul(hn::Sub(in, hn::Load(d, near_origin_[a] + r)),
-                                               hn::Load(d, rcp_[a] + r)));
-                leave = hn::Min(leave, hn::Mul(hn::Sub(out, hn::Load(d, far_origin_[a] + r)),
-                                               hn::Load(d, far_rcp_[a] + r)));
-            }
-            uint8_t bits[8] = {};
-            hn::StoreMaskBits(d, hn::Le(enter, leave), bits);
-            hits |= (uint32_t(bits[0]) | uint32_t(bits[1]) << 8) << r;
-        }
-        return hits;
-    }
-
-    /// Over all rays, of near_origin and so on.
-    struct Ends {
-        float low[3], high[3];
-    };
-    Ends near_origin() const { return ends(near_origin_); }
-    Ends far_origin() const { return ends(far_origin_); }
-    Ends rcp() const { return ends(rcp_); }
-    Ends far_rcp() const { return ends(far_rcp_); }
-
-  private:
-    static constexpr hn::CappedTag<float, RayPacket::most> d{};
-    static constexpr size_t N = hn::MaxLanes(d);
-    using Row = float[RayPacket::most];
-
-    static HWY_INLINE float reduce(const Row& row, bool largest) {
-        auto all = hn::Load(d, row);
-        for (size_t r = N; r < RayPacket::most; r += N) {
-            const auto next = hn::Load(d, row + r);
-            all = largest ? hn::Max(all, next) : hn::Min(all, next);
-        }
-        return hn::GetLane(largest ? hn::MaxOfLanes(d, all) : hn::MinOfLanes(d, all));
-    }
-    static HWY_INLINE Ends ends(const Row (&rows)[3]) {
-        Ends e;
-        for (int a = 0; a < 3; ++a) {
-            e.low[a] = reduce(rows[a], false);
-            e.high[a] = reduce(rows[a], true);
-        }
-        return e;
-    }
-
-    alignas(64) Row near_origin_[3], far_origin_[3], rcp_[3], far_rcp_[3];
-    alignas(64) Row t_low_, t_cull_;
-};
 
 /// Where the first of a packet's rays may enter, and the last may leave, some children of a node
 /// (interval arithmetic: Boulos, Wald, Shirley 2006, "Geometric and arithmetic culling methods for
@@ -143,17 +65,18 @@ class PacketChildrenTest {
 };
 
 /// A packet goes down the tree as one; at a leaf all its rays are tested against the box at once,
-/// and those that meet it test what is inside as they would have alone. Hits do not depend on which
+/// and those that meet it test what is inside: see PacketLeaves. Hits do not depend on which
 /// further leaves are visited, so they are those of single rays.
 ///
 /// A packet goes as far as the last of its rays, and where those go different ways, or one of them
 /// to the horizon, most of what it passes is met by few or none. So it may take `free_visits`, and
 /// two for every ray that has met a leaf.
+/// @param alone  (r): traces ray r by itself, from the root, with what it found so far
 /// @return  false: it took more than that and gave up; its rays have still to be traced, from the
 ///          root, with what they found so far
-template <Query Q, class Set, class Leaves>
-bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set,
-                  RayPacket& packet) {
+template <Query Q, class Set, class Leaves, class F>
+bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set, RayPacket& packet,
+                  const F& alone) {
     constexpr int free_visits = 32;
     if (bvh.box.empty() || packet.count == 0) return true;
     int visits_left = free_visits;
@@ -169,14 +92,17 @@ bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set,
     for (int a = 0; a < 3; ++a) down[a] = std::signbit(packet.local[0].rcp[a]);
     const float t_low = rays.least_t_low();
     float t_cull = rays.most_t_cull();
-    NoCounters none;
+    PacketLeaves<Q, Set, Leaves> at_leaves(leaves, set, packet, rays);
     Open stack[WideBvh<Set>::max_depth * (WideBvh<Set>::width - 1) + 1];
     Open* top = stack;
     *top++ = {-INFINITY, 0, nullptr};
     while (top > stack) {
         const Open open = *--top;
         if (open.t > t_cull) continue;
-        if (--visits_left < 0) return false;
+        if (--visits_left < 0) {
+            at_leaves.finish(alone);
+            return false;
+        }
         if (!WideChild::is_leaf(open.child)) {
             const WideNode& node = node_at(nodes, open.child);
             alignas(32) float t[8];
@@ -190,22 +116,13 @@ bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set,
             }
             continue;
         }
-        bool nearer = false;
-        for (uint32_t hits = rays.meet(open.planes, down); hits; hits &= hits - 1) {
-            const uint32_t r = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
-            visits_left += 2;
-            RayQuery& q = packet.query[r];
-            const float before = q.t_cull;
-            const bool found = test_leaf<Q>(set, leaves, WideChild::first(open.child),
-                                            WideChild::count(open.child), packet.local[r], q, none);
-            if (Q == Query::any && found) packet.found[r] = true;
-            if (found || q.t_cull != before) {
-                rays.set_cull(r, found ? -INFINITY : q.t_cull);
-                nearer = true;
-            }
-        }
-        if (nearer) t_cull = rays.most_t_cull();
+        const uint32_t hits = rays.meet(open.planes, down);
+        if (!hits) continue;
+        visits_left += 2 * int(hwy::PopCount(hits));
+        if (at_leaves.test(WideChild::first(open.child), WideChild::count(open.child), hits))
+            t_cull = rays.most_t_cull();
     }
+    at_leaves.finish(alone);
     return true;
 }
 

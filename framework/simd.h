@@ -156,9 +156,16 @@ HWY_INLINE hn::Vec<DD> promote(DD dd, D, hn::Vec<D> v, [[maybe_unused]] size_t p
     }
 }
 
-/// t, u, v of the lanes of `plain`, as refine_triangle has them inside of a triangle, in double.
-/// Lanes that pass outside in double, or have too little area for it, leave `plain`; lanes of
-/// `plain` whose t is not in the interval leave `open`.
+/// A triangle and a ray in every lane, in double.
+template <class DD>
+struct DoubleHits {
+    using V = hn::Vec<DD>;
+    hn::Mask<DD> known;  ///< others need refine_triangle
+    hn::Vec<hn::Rebind<float, DD>> t, u, v;
+};
+
+/// t, u, v as refine_triangle has them inside of a triangle. Not known are lanes that pass outside
+/// in double, or have too little area for it.
 ///
 /// How far off t may be, with u = 2^-53, `reach` the largest sheared coordinate, z the largest
 /// depth and distance = reach + |z|, all times the direction's main component where that is
@@ -169,6 +176,46 @@ HWY_INLINE hn::Vec<DD> promote(DD dd, D, hn::Vec<D> v, [[maybe_unused]] size_t p
 /// reach·distance/|det|; with the roundings of depths and of the sum by less than
 /// 2^8·u·steep·spread + 8u·|t|. Where that is above 2^-27·|t|, Mode::double_precision asks the
 /// oracle.
+///
+/// @param corner     of the triangles; of each kx, ky, kz
+/// @param o, dir     of the rays, likewise
+/// @param to_an_ulp  as Mode::double_precision asks
+template <class DD, class V>
+HWY_INLINE DoubleHits<DD> solve_lanes(DD dd, const V (&corner)[3][3], const V (&o)[3],
+                                      const V (&dir)[3], bool to_an_ulp) {
+    V x[3], y[3], z[3], reach = hn::Zero(dd);
+    for (int k = 0; k < 3; ++k) {
+        z[k] = hn::Sub(corner[k][2], o[2]);
+        x[k] = hn::Sub(hn::Mul(hn::Sub(corner[k][0], o[0]), dir[2]), hn::Mul(dir[0], z[k]));
+        y[k] = hn::Sub(hn::Mul(hn::Sub(corner[k][1], o[1]), dir[2]), hn::Mul(dir[1], z[k]));
+        reach = hn::Max(reach, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
+    }
+    const V a = hn::Sub(hn::Mul(x[2], y[1]), hn::Mul(y[2], x[1]));
+    const V b = hn::Sub(hn::Mul(x[0], y[2]), hn::Mul(y[0], x[2]));
+    const V c = hn::Sub(hn::Mul(x[1], y[0]), hn::Mul(y[1], x[0]));
+    const V det = hn::Add(hn::Add(a, b), c);
+    const V per = hn::Div(hn::Set(dd, 1.0), hn::Mul(det, dir[2]));
+    const V depth = hn::Add(hn::Add(hn::Mul(a, z[0]), hn::Mul(b, z[1])), hn::Mul(c, z[2]));
+    const V zero = hn::Zero(dd);
+    const auto inside =
+        hn::Or(hn::Ge(hn::Min(hn::Min(a, b), c), zero), hn::Le(hn::Max(hn::Max(a, b), c), zero));
+    auto known =
+        hn::And(inside, hn::Gt(hn::Abs(det), hn::Mul(hn::Mul(reach, reach), hn::Set(dd, 0x1p-31))));
+    if (HWY_UNLIKELY(to_an_ulp)) {
+        const V low = hn::Min(hn::Min(z[0], z[1]), z[2]), high = hn::Max(hn::Max(z[0], z[1]), z[2]);
+        const V distance = hn::Add(reach, hn::Max(hn::Abs(low), hn::Abs(high)));
+        const V error =
+            hn::Mul(hn::Mul(reach, distance), hn::Mul(hn::Sub(high, low), hn::Set(dd, 0x1p-18)));
+        known = hn::And(known, hn::Le(error, hn::Abs(depth)));
+    }
+    const hn::Rebind<float, DD> df;
+    const V per_det = hn::Mul(per, dir[2]);
+    return {known, hn::DemoteTo(df, hn::Mul(depth, per)), hn::DemoteTo(df, hn::Mul(b, per_det)),
+            hn::DemoteTo(df, hn::Mul(c, per_det))};
+}
+
+/// One ray's t, u, v of the lanes of `plain`: see solve_lanes. What is not known leaves `plain`;
+/// lanes of `plain` whose t is not in the interval leave `open`.
 template <Query Q, class D, class Source>
 HWY_INLINE void solve_in_double(D d, const Source& source, const RayQuery& q,
                                 LaneHits<hn::MaxLanes(D())>& hits) {
@@ -178,8 +225,8 @@ HWY_INLINE void solve_in_double(D d, const Source& source, const RayQuery& q,
     const hn::Rebind<float, decltype(dd)> df;
     using V = hn::Vec<decltype(dd)>;
     const auto set = [&](float x) HWY_ATTR { return hn::Set(dd, double(x)); };
-    const V ox = set(q.origin[q.kx]), oy = set(q.origin[q.ky]), oz = set(q.origin[q.kz]);
-    const V dx = set(q.direction[q.kx]), dy = set(q.direction[q.ky]), dz = set(q.direction[q.kz]);
+    const V o[3] = {set(q.origin[q.kx]), set(q.origin[q.ky]), set(q.origin[q.kz])};
+    const V dir[3] = {set(q.direction[q.kx]), set(q.direction[q.ky]), set(q.direction[q.kz])};
     hn::Vec<D> corner[3][3];
     for (int k = 0; k < 3; ++k) {
         corner[k][0] = source.world(k, q.kx);
@@ -189,44 +236,18 @@ HWY_INLINE void solve_in_double(D d, const Source& source, const RayQuery& q,
     for (size_t p = 0; p < N / n; ++p) {
         const uint32_t lanes = ((1u << n) - 1) << p * n;
         if (N != n && !(hits.plain & lanes)) continue;
-        V x[3], y[3], z[3], reach = hn::Zero(dd);
-        for (int k = 0; k < 3; ++k) {
-            z[k] = hn::Sub(promote(dd, d, corner[k][2], p), oz);
-            x[k] = hn::Sub(hn::Mul(hn::Sub(promote(dd, d, corner[k][0], p), ox), dz),
-                           hn::Mul(dx, z[k]));
-            y[k] = hn::Sub(hn::Mul(hn::Sub(promote(dd, d, corner[k][1], p), oy), dz),
-                           hn::Mul(dy, z[k]));
-            reach = hn::Max(reach, hn::Max(hn::Abs(x[k]), hn::Abs(y[k])));
-        }
-        const V a = hn::Sub(hn::Mul(x[2], y[1]), hn::Mul(y[2], x[1]));
-        const V b = hn::Sub(hn::Mul(x[0], y[2]), hn::Mul(y[0], x[2]));
-        const V c = hn::Sub(hn::Mul(x[1], y[0]), hn::Mul(y[1], x[0]));
-        const V det = hn::Add(hn::Add(a, b), c);
-        const V per = hn::Div(hn::Set(dd, 1.0), hn::Mul(det, dz));
-        const V depth = hn::Add(hn::Add(hn::Mul(a, z[0]), hn::Mul(b, z[1])), hn::Mul(c, z[2]));
-        const V zero = hn::Zero(dd);
-        const auto inside = hn::Or(hn::Ge(hn::Min(hn::Min(a, b), c), zero),
-                                   hn::Le(hn::Max(hn::Max(a, b), c), zero));
-        auto known = hn::And(
-            inside, hn::Gt(hn::Abs(det), hn::Mul(hn::Mul(reach, reach), hn::Set(dd, 0x1p-31))));
-        if (HWY_UNLIKELY(q.mode == Mode::double_precision)) {
-            const V low = hn::Min(hn::Min(z[0], z[1]), z[2]),
-                    high = hn::Max(hn::Max(z[0], z[1]), z[2]);
-            const V distance = hn::Add(reach, hn::Max(hn::Abs(low), hn::Abs(high)));
-            const V error = hn::Mul(hn::Mul(reach, distance),
-                                    hn::Mul(hn::Sub(high, low), hn::Set(dd, 0x1p-18)));
-            known = hn::And(known, hn::Le(error, hn::Abs(depth)));
-        }
-        const auto t = hn::DemoteTo(df, hn::Mul(depth, per));
+        V part[3][3];
+        for (int k = 0; k < 3; ++k)
+            for (int a = 0; a < 3; ++a) part[k][a] = promote(dd, d, corner[k][a], p);
+        const auto found = solve_lanes(dd, part, o, dir, q.mode == Mode::double_precision);
         const auto within =
-            hn::And(hn::Ge(t, hn::Set(df, q.t_min)), hn::Le(t, hn::Set(df, q.t_best)));
-        hits.plain &= ~(lanes & ~(mask_bits(dd, known) << p * n));
+            hn::And(hn::Ge(found.t, hn::Set(df, q.t_min)), hn::Le(found.t, hn::Set(df, q.t_best)));
+        hits.plain &= ~(lanes & ~(mask_bits(dd, found.known) << p * n));
         hits.open &= ~(lanes & hits.plain & ~(mask_bits(df, within) << p * n));
-        hn::Store(t, df, hits.t + p * n);
+        hn::Store(found.t, df, hits.t + p * n);
         if constexpr (Q == Query::closest) {
-            const V per_det = hn::Mul(per, dz);
-            hn::Store(hn::DemoteTo(df, hn::Mul(b, per_det)), df, hits.u + p * n);
-            hn::Store(hn::DemoteTo(df, hn::Mul(c, per_det)), df, hits.v + p * n);
+            hn::Store(found.u, df, hits.u + p * n);
+            hn::Store(found.v, df, hits.v + p * n);
         }
     }
 }
