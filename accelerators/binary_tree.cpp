@@ -92,7 +92,7 @@ class Rebalance {
         return node;
     }
 
-    RawVector<BinaryTree::Node>& nodes_;
+    RawAlignedVector<BinaryTree::Node>& nodes_;
     std::vector<uint32_t> leaves_, inner_;
     size_t next_inner_ = 0;
 };
@@ -198,11 +198,11 @@ class Collapse {
     std::span<const float> cost_of_shape_;
     uint32_t max_leaf_size_;
     int parallel_levels_;
-    RawVector<Subtree> subtrees_;
+    RawAlignedVector<Subtree> subtrees_;
     BinaryTree* out_ = nullptr;
 };
 
-BinaryTree run_builder(std::vector<BuildReference> references, const ShapeClipper& clipper,
+BinaryTree run_builder(BuildReferences references, const ShapeClipper& clipper,
                        const TreeParameters& p, const TreeCosts& costs) {
     switch (p.builder) {
         case TreeBuilder::median:
@@ -246,7 +246,7 @@ void collapse_leaves(BinaryTree& tree, const TreeCosts& costs, std::span<const f
     tree = Collapse(tree, costs, cost_of_shape, uint32_t(max_leaf_size)).run();
 }
 
-BinaryTree build_tree(std::vector<BuildReference> references, const ShapeClipper& clipper,
+BinaryTree build_tree(BuildReferences references, const ShapeClipper& clipper,
                       const TreeParameters& p, const TreeCosts& costs) {
     if (references.empty()) return {};
     std::vector<float> cost_of_shape;

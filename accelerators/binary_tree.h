@@ -19,6 +19,8 @@ struct BuildReference {
     float cost;      ///< nominal ns of one test
 };
 static_assert(sizeof(BuildReference) == 32);
+/// Elements are not initialised.
+using BuildReferences = RawAlignedVector<BuildReference>;
 
 /// Box of the part of a shape inside a box, rounded outwards; empty if there is none.
 using ClipShape = std::function<Bounds3(uint32_t shape, const Bounds3& box)>;
@@ -45,8 +47,8 @@ struct BinaryTree {
         uint32_t& blocks() { return left; }
         uint32_t blocks() const { return left; }
     };
-    RawVector<Node> nodes;      ///< the root first; may have unused, undefined entries
-    RawVector<uint32_t> order;  ///< shapes, leaf by leaf; may have unused entries
+    RawAlignedVector<Node> nodes;      ///< the root first; may have unused, undefined entries
+    RawAlignedVector<uint32_t> order;  ///< shapes, leaf by leaf; may have unused entries
     bool empty() const { return nodes.empty(); }
 };
 
@@ -92,15 +94,16 @@ void invoke_both(bool at_once, const A& a, const B& b) {
 
 /// References of all active shapes of a set, ascending.
 template <class Set>
-std::vector<BuildReference> build_references(const Set& set) {
-    std::vector<BuildReference> references(set.size());
+BuildReferences build_references(const Set& set) {
+    BuildReferences references(set.size());
     std::atomic<bool> some_empty = false;
     parallel_for(set.size(), 1 << 13, [&](size_t begin, size_t end) {
         bool empty = false;
         for (size_t i = begin; i < end; ++i) {
             const uint32_t shape = uint32_t(i);
-            if (set.active(shape))
-                references[i] = {set.bounds(shape), shape, float(set.cost(shape))};
+            references[i] = set.active(shape)
+                                ? BuildReference{set.bounds(shape), shape, float(set.cost(shape))}
+                                : BuildReference{};
             empty = empty || references[i].bounds.empty();
         }
         if (empty) some_empty = true;

@@ -94,7 +94,7 @@ struct BspShapes {
         std::array<double, 2> radius;
         Vec3d axis;  ///< unit; zero: balls
     };
-    std::vector<BuildReference> references;
+    BuildReferences references;
     /// By position in `references`: corners, in order around a flat polygon; none: the shape is
     /// somewhere in its bounds. Either empty as a whole or with one more entry.
     std::vector<uint32_t> first_corner;

@@ -97,8 +97,8 @@ using EventLists = std::array<std::vector<Event>, 3>;
 
 /// What a node is built from.
 struct Work {
-    std::vector<BuildReference> references;  // shapes ascending
-    EventLists events;                       // sorted, while `exact`
+    BuildReferences references;  // shapes ascending
+    EventLists events;           // sorted, while `exact`
     bool exact = false;
 
     size_t size() const { return references.size(); }
@@ -233,7 +233,7 @@ class Builder {
         distribute(work, plane, cells, sides);
         if (sides[0].size() + sides[1].size() > budget)
             return make_leaf(work.references, leaf_cost, out);
-        std::vector<BuildReference> kept;
+        BuildReferences kept;
         if (n <= collapse_size || !pays) kept = std::move(work.references);
         work = {};
 
@@ -247,8 +247,7 @@ class Builder {
     }
 
   private:
-    static double make_leaf(const std::vector<BuildReference>& references, double cost,
-                            Fragment& out) {
+    static double make_leaf(const BuildReferences& references, double cost, Fragment& out) {
         const uint32_t n = uint32_t(references.size());
         out.nodes.push_back(KdNode::leaf(uint32_t(out.references.size()), n));
         if (n == 1)
@@ -329,7 +328,7 @@ class Builder {
         return {};
     }
 
-    static float median_centre(const std::vector<BuildReference>& references, int axis) {
+    static float median_centre(const BuildReferences& references, int axis) {
         std::vector<float> centres;
         centres.reserve(references.size());
         for (const BuildReference& r : references)
@@ -352,7 +351,7 @@ class Builder {
             const BuildReference& r = work.references[i];
             const bool below = goes_below(r, plane), above = goes_above(r, plane);
             if (below != above) {
-                std::vector<BuildReference>& to = sides[above].references;
+                BuildReferences& to = sides[above].references;
                 if (work.exact) place[i] = {uint32_t(above), uint32_t(to.size())};
                 to.push_back(r);
                 continue;
@@ -462,7 +461,7 @@ class PairLayout {
 
 }  // namespace
 
-KdTreeData build_kd_tree(std::vector<BuildReference> references, const ClipShape& clip,
+KdTreeData build_kd_tree(BuildReferences references, const ClipShape& clip,
                          const KdOptions& options) {
     KdTreeData tree;
     if (references.empty()) return tree;

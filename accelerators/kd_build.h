@@ -77,7 +77,7 @@ using ClipShape = std::function<Bounds3(uint32_t shape, const Bounds3& box)>;
 /// A subtree that costs no less than a leaf becomes one (checked where it is small, or its first
 /// split did not pay); besides, there are at most 16·N + 1024 references, each subtree having its
 /// share, and 64 levels.
-KdTreeData build_kd_tree(std::vector<BuildReference> references, const ClipShape& clip,
+KdTreeData build_kd_tree(BuildReferences references, const ClipShape& clip,
                          const KdOptions& options);
 
 /// A plane across a cell.

@@ -99,7 +99,7 @@ namespace crofton {
 template <class Set>
 KdTree<Set> KdTree<Set>::build(const Set& set, const KdTreeParameters& p) {
     KdTree tree;
-    std::vector<BuildReference> shapes = build_references(set);
+    BuildReferences shapes = build_references(set);
     if (shapes.empty()) return tree;
     const double n = double(shapes.size());
     double cost_sum = 0;

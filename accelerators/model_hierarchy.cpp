@@ -115,8 +115,7 @@ struct Run {
 class ModelGroups {
   public:
     /// @param shapes  active, ascending
-    ModelGroups(const ShapeGroups& groups, const std::vector<BuildReference>& shapes,
-                uint32_t leaf_size)
+    ModelGroups(const ShapeGroups& groups, const BuildReferences& shapes, uint32_t leaf_size)
         : shapes_(shapes), leaf_size_(leaf_size) {
         const auto position = [&](uint32_t shape) {
             return uint32_t(
@@ -189,7 +188,7 @@ class ModelGroups {
         }
     }
 
-    const std::vector<BuildReference>& shapes_;
+    const BuildReferences& shapes_;
     const uint32_t leaf_size_;
     std::vector<Member> groups_;
     std::vector<uint32_t> after_;   ///< the first group behind a group and all inside it
@@ -200,7 +199,7 @@ template <class Set>
 class ModelWriter {
   public:
     ModelWriter(ModelHierarchy<Set>& tree, const Set& set, const ModelHierarchyParameters& p,
-                const std::vector<BuildReference>& shapes)
+                const BuildReferences& shapes)
         : tree_(tree),
           set_(set),
           shapes_(shapes),
@@ -360,7 +359,7 @@ class ModelWriter {
 
     ModelHierarchy<Set>& tree_;
     const Set& set_;
-    const std::vector<BuildReference>& shapes_;
+    const BuildReferences& shapes_;
     const bool merge_, by_area_;
     ModelGroups groups_;
     std::vector<Member> members_;  ///< of all groups expanded so far
@@ -372,7 +371,7 @@ class ModelWriter {
 template <class Set>
 ModelHierarchy<Set> ModelHierarchy<Set>::build(const Set& set, const ModelHierarchyParameters& p) {
     ModelHierarchy tree;
-    const std::vector<BuildReference> shapes = build_references(set);
+    const BuildReferences shapes = build_references(set);
     if (shapes.empty()) return tree;
     for (const BuildReference& r : shapes) tree.box.extend(r.bounds);
     ModelWriter<Set>(tree, set, p, shapes).write();

@@ -138,7 +138,7 @@ class NestedGridBuilder {
         : set_(set), p_(p), out_(out) {}
 
     void build() {
-        std::vector<BuildReference> shapes = build_references(set_);
+        BuildReferences shapes = build_references(set_);
         if (shapes.empty()) return;
         for (const BuildReference& r : shapes) out_.box.extend(r.bounds);
         const size_t active = shapes.size();
@@ -184,7 +184,7 @@ class NestedGridBuilder {
         Bounds3 box;
     };
 
-    static Items all(const std::vector<BuildReference>& shapes) {
+    static Items all(const BuildReferences& shapes) {
         Items items;
         items.reserve(shapes.size());
         for (const BuildReference& r : shapes) items.push_back(r.shape);
@@ -417,7 +417,7 @@ class NestedGridBuilder {
         }
     }
 
-    uint32_t build_adaptive(std::vector<BuildReference> shapes) {
+    uint32_t build_adaptive(BuildReferences shapes) {
         Items top;
         std::vector<uint32_t> grids;
         for (const ShapeCluster& cluster : clusters_by_place(std::move(shapes), merge_ratio)) {
@@ -435,7 +435,7 @@ class NestedGridBuilder {
         return root;
     }
 
-    uint32_t build_hierarchy(const std::vector<BuildReference>& shapes) {
+    uint32_t build_hierarchy(const BuildReferences& shapes) {
         std::vector<ShapeCluster> clusters = clusters_by_size(shapes, p_.max_depth);
         Items top;
         std::vector<uint32_t> top_grids;

@@ -156,7 +156,7 @@ constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
 constexpr size_t collapse_size = 64;    // at most so many are kept to turn into a leaf again
 constexpr int patience = 3;             // splits in a row that do not pay
 
-using References = std::vector<BuildReference>;
+using References = BuildReferences;
 
 /// Box of child k of a cell.
 Bounds3 octant(const Bounds3& cell, const float (&plane)[3], uint32_t k) {

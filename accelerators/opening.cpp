@@ -20,7 +20,7 @@ class OverlapTree {
   public:
     OverlapTree(const std::vector<ObjectSet::Object>& entries, const std::vector<uint32_t>& origin)
         : entries_(entries), origin_(origin) {
-        std::vector<BuildReference> references;
+        BuildReferences references;
         for (uint32_t i = 0; i < entries.size(); ++i)
             if (const Bounds3& b = entries[i].primitive->bounds(); !b.empty())
                 references.push_back({b, i, 1.0f});

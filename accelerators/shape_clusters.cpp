@@ -62,7 +62,7 @@ class UnionFind {
 };
 
 /// Appends the connected components of `members`, which are indices of references.
-void connect(const std::vector<BuildReference>& references, const std::vector<uint32_t>& members,
+void connect(const BuildReferences& references, const std::vector<uint32_t>& members,
              const Vec3d& lower, double edge, uint32_t size_class,
              std::vector<ShapeCluster>& clusters) {
     std::unordered_map<uint64_t, uint32_t> owner;
@@ -93,8 +93,7 @@ void connect(const std::vector<BuildReference>& references, const std::vector<ui
 
 }  // namespace
 
-std::vector<ShapeCluster> clusters_by_place(std::vector<BuildReference> references,
-                                            double merge_ratio) {
+std::vector<ShapeCluster> clusters_by_place(BuildReferences references, double merge_ratio) {
     const BinaryTree tree = build_binned(std::move(references), TreeCosts{}, 16, 4);
     std::vector<uint32_t> order{0};
     for (size_t k = 0; k < order.size(); ++k)
@@ -115,8 +114,7 @@ std::vector<ShapeCluster> clusters_by_place(std::vector<BuildReference> referenc
     return clusters;
 }
 
-std::vector<ShapeCluster> clusters_by_size(const std::vector<BuildReference>& references,
-                                           int classes) {
+std::vector<ShapeCluster> clusters_by_size(const BuildReferences& references, int classes) {
     Bounds3 all;
     for (const BuildReference& r : references) all.extend(r.bounds);
     // Buckets are no finer than 2^-20 of the scene, so that three indices fit a key.

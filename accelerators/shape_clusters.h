@@ -19,15 +19,13 @@ struct ShapeCluster {
 /// adaptive grids"). Departs from it in finding neighbours in a binned tree instead of by
 /// insertion.
 /// @param references  not empty
-std::vector<ShapeCluster> clusters_by_place(std::vector<BuildReference> references,
-                                            double merge_ratio);
+std::vector<ShapeCluster> clusters_by_place(BuildReferences references, double merge_ratio);
 
 /// Clusters by size, then place: shapes are filtered into classes of similar extent; those of a
 /// class that share a bucket as wide as the largest of them are connected (Cazals, Drettakis, Puech
 /// 1995: "Filtering, clustering and hierarchy construction"). O(N).
 /// @param references  not empty
 /// @param classes     at most so many, each at least a factor of four wide
-std::vector<ShapeCluster> clusters_by_size(const std::vector<BuildReference>& references,
-                                           int classes);
+std::vector<ShapeCluster> clusters_by_size(const BuildReferences& references, int classes);
 
 }  // namespace crofton

@@ -337,7 +337,7 @@ class SparseGridBuilder {
         : set_(set), p_(p), out_(out) {}
 
     void build() {
-        std::vector<BuildReference> shapes = build_references(set_);
+        BuildReferences shapes = build_references(set_);
         if (shapes.empty()) return;
         double cost_sum = 0;
         for (const BuildReference& r : shapes) {
@@ -348,8 +348,7 @@ class SparseGridBuilder {
         out_.shapes = ShapeStore<Set>(set_);
         leaf_bytes_left_ = (size_t(64) << 20) + most_leaf_bytes * shapes.size();
         for (int left = p_.size_classes; !shapes.empty(); --left) {
-            std::vector<BuildReference> large =
-                left > 1 ? split_off_large(shapes) : std::vector<BuildReference>{};
+            BuildReferences large = left > 1 ? split_off_large(shapes) : BuildReferences{};
             add_class(shapes, voxel_for(shapes, bounds_of(shapes)), p_.refinements);
             shapes = std::move(large);
         }
@@ -369,13 +368,13 @@ class SparseGridBuilder {
     static double extent_of(const Bounds3& b) {
         return (b.upper.cast<double>() - b.lower.cast<double>()).maxCoeff();
     }
-    static Bounds3 bounds_of(const std::vector<BuildReference>& shapes) {
+    static Bounds3 bounds_of(const BuildReferences& shapes) {
         Bounds3 b;
         for (const BuildReference& r : shapes) b.extend(r.bounds);
         return b;
     }
     /// Edge of a voxel for these shapes, before memory limits it.
-    double voxel_for(const std::vector<BuildReference>& shapes, const Bounds3& content) const {
+    double voxel_for(const BuildReferences& shapes, const Bounds3& content) const {
         std::vector<double> extents(shapes.size());
         for (size_t i = 0; i < shapes.size(); ++i) extents[i] = extent_of(shapes[i].bounds);
         std::nth_element(extents.begin(), extents.begin() + extents.size() / 2, extents.end());
@@ -383,13 +382,13 @@ class SparseGridBuilder {
                          double(std::numeric_limits<float>::min())});
     }
     /// Largest coordinate of the whole shapes, whatever part of them is meant.
-    double magnitude_of(const std::vector<BuildReference>& shapes) const {
+    double magnitude_of(const BuildReferences& shapes) const {
         double magnitude = 0;
         for (const BuildReference& r : shapes)
             magnitude = std::max(magnitude, double(set_.bounds(r.shape).magnitude()));
         return magnitude;
     }
-    static double references_of(const std::vector<BuildReference>& shapes, double voxel) {
+    static double references_of(const BuildReferences& shapes, double voxel) {
         double sum = 0;
         const Vec3d cell = Vec3d::Constant(voxel);
         for (const BuildReference& r : shapes) sum += cells_spanned(r.bounds, cell, flat);
@@ -397,9 +396,9 @@ class SparseGridBuilder {
     }
 
     /// Where few large shapes would fill most voxels, they are moved to a coarser grid.
-    std::vector<BuildReference> split_off_large(std::vector<BuildReference>& shapes) const {
+    BuildReferences split_off_large(BuildReferences& shapes) const {
         const double voxel = voxel_for(shapes, bounds_of(shapes));
-        std::vector<BuildReference> large;
+        BuildReferences large;
         if (references_of(shapes, voxel) <= most_references * double(shapes.size())) return large;
         const auto middle = std::stable_partition(
             shapes.begin(), shapes.end(),
@@ -412,7 +411,7 @@ class SparseGridBuilder {
 
     /// Shapes by voxel, at the finest resolution that memory allows.
     /// @param voxel  its edge, if so
-    std::vector<Entry> entries_of(const std::vector<BuildReference>& shapes, const Bounds3& content,
+    std::vector<Entry> entries_of(const BuildReferences& shapes, const Bounds3& content,
                                   double voxel, GridSpace& space) {
         while (references_of(shapes, voxel) > most_references * double(shapes.size()) + 4096 &&
                voxel < extent_of(content))
@@ -437,8 +436,7 @@ class SparseGridBuilder {
             voxel *= 2;
         }
     }
-    std::vector<Entry> enter_all(const std::vector<BuildReference>& shapes,
-                                 const GridSpace& space) const {
+    std::vector<Entry> enter_all(const BuildReferences& shapes, const GridSpace& space) const {
         constexpr size_t range = 4096;
         std::vector<std::vector<Entry>> parts((shapes.size() + range - 1) / range);
         parallel_for(parts.size(), 1, [&](size_t begin, size_t end) {
@@ -455,7 +453,7 @@ class SparseGridBuilder {
     }
 
     /// Adds a grid for shapes, or for parts of them that fill voxels of another.
-    void add_class(const std::vector<BuildReference>& shapes, double voxel, int refinements) {
+    void add_class(const BuildReferences& shapes, double voxel, int refinements) {
         const Bounds3 content = bounds_of(shapes);
         SparseGridClass one;
         const std::vector<Entry> entries =
@@ -463,7 +461,7 @@ class SparseGridBuilder {
         const double finer = finer_voxel(entries, one.space, refinements);
         const auto tree = openvdb::Int32Grid::create(0);
         auto accessor = tree->getAccessor();
-        std::vector<BuildReference> crowd;
+        BuildReferences crowd;
         std::vector<uint32_t> list;
         double cost = 0;
         size_t voxels = 0, references = 0;
@@ -523,7 +521,7 @@ class SparseGridBuilder {
         return code;
     }
     /// What a voxel holds of its shapes.
-    void move_to(std::vector<BuildReference>& crowd, const GridSpace& space, uint64_t key,
+    void move_to(BuildReferences& crowd, const GridSpace& space, uint64_t key,
                  const std::vector<uint32_t>& list) const {
         const openvdb::Coord at = voxel_of(key);
         Bounds3 region = space.cell_box(at[0], at[1], at[2]);

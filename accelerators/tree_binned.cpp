@@ -14,8 +14,7 @@ constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
 class BinnedBuilder {
   public:
     /// @param bins  0: halves by count
-    BinnedBuilder(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
-                  int max_leaf_size)
+    BinnedBuilder(BuildReferences references, const TreeCosts& costs, int bins, int max_leaf_size)
         : refs_(std::move(references)),
           costs_(costs),
           bins_(bins),
@@ -103,7 +102,7 @@ class BinnedBuilder {
         return costs_.leaf(sum, uint32_t(references.size()));
     }
 
-    std::vector<BuildReference> refs_;
+    BuildReferences refs_;
     TreeCosts costs_;
     int bins_;
     size_t max_leaf_size_;
@@ -113,7 +112,7 @@ class BinnedBuilder {
 /// Twice the shapes' places on each axis, sorted once and kept sorted.
 class SweepBuilder {
   public:
-    SweepBuilder(std::vector<BuildReference> references, const TreeCosts& costs)
+    SweepBuilder(BuildReferences references, const TreeCosts& costs)
         : refs_(std::move(references)), costs_(costs), n_(refs_.size()) {}
 
     BinaryTree build() {
@@ -234,7 +233,7 @@ class SweepBuilder {
         }
     }
 
-    std::vector<BuildReference> refs_;
+    BuildReferences refs_;
     TreeCosts costs_;
     size_t n_;
     std::array<std::vector<uint32_t>, 3> sorted_;  // indices of references, by centroid
@@ -246,18 +245,18 @@ class SweepBuilder {
 
 }  // namespace
 
-BinaryTree build_binned(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
+BinaryTree build_binned(BuildReferences references, const TreeCosts& costs, int bins,
                         int max_leaf_size) {
     if (references.empty()) return {};
     return BinnedBuilder(std::move(references), costs, bins, max_leaf_size).build();
 }
 
-BinaryTree build_median(std::vector<BuildReference> references) {
+BinaryTree build_median(BuildReferences references) {
     if (references.empty()) return {};
     return BinnedBuilder(std::move(references), TreeCosts{}, 0, 1).build();
 }
 
-BinaryTree build_sweep(std::vector<BuildReference> references, const TreeCosts& costs) {
+BinaryTree build_sweep(BuildReferences references, const TreeCosts& costs) {
     if (references.empty()) return {};
     return SweepBuilder(std::move(references), costs).build();
 }

@@ -62,7 +62,7 @@ struct ShapeClipper {
 /// does not depend on the number of threads. Leaves name each shape once, ascending.
 /// @param references  not changed in what they bound; empty: an empty tree
 /// @param clipper     used by sbvh only
-BinaryTree build_tree(std::vector<BuildReference> references, const ShapeClipper& clipper,
+BinaryTree build_tree(BuildReferences references, const ShapeClipper& clipper,
                       const TreeParameters& parameters, const TreeCosts& costs);
 
 /// The same over all active shapes of a set.
@@ -86,39 +86,39 @@ BinaryTree build_tree(const Set& set, const TreeParameters& parameters, const Tr
 /// possible (equal centroids) or the tree gets deeper than 40 levels, references are halved by
 /// count, so that no tree is deeper than 72.
 /// @param max_leaf_size  leaves of up to so many, where no split at hand costs less
-BinaryTree build_binned(std::vector<BuildReference> references, const TreeCosts& costs, int bins,
+BinaryTree build_binned(BuildReferences references, const TreeCosts& costs, int bins,
                         int max_leaf_size);
 
 /// Halves by count on the axis where centroids spread most (Kay & Kajiya 1986). Depth: log2(N).
-BinaryTree build_median(std::vector<BuildReference> references);
+BinaryTree build_median(BuildReferences references);
 
 /// Area heuristic at every centroid, from lists sorted once: O(N log N). Halves as build_binned.
-BinaryTree build_sweep(std::vector<BuildReference> references, const TreeCosts& costs);
+BinaryTree build_sweep(BuildReferences references, const TreeCosts& costs);
 
 /// Area heuristic at bins of centroids, and where the children of the best such split overlap by
 /// more than `split_overlap` of the root's area, at planes that cut shapes (Stich, Friedrich,
 /// Dietrich 2009: "Spatial splits in bounding volume hierarchies"): a shape that straddles one goes
 /// clipped to both sides, or whole to one where that is cheaper. Leaves have one reference; there
 /// are at most reference_budget times as many as shapes.
-BinaryTree build_split(std::vector<BuildReference> references, const ShapeClipper& clipper,
+BinaryTree build_split(BuildReferences references, const ShapeClipper& clipper,
                        const TreeParameters& parameters, const TreeCosts& costs);
 
 /// Splits at the highest bit of Morton codes that differs (Lauterbach et al. 2009: "Fast BVH
 /// construction on GPUs").
 /// @param leaf_size  of as many references no more nodes are made
-BinaryTree build_morton(std::vector<BuildReference> references, int leaf_size);
+BinaryTree build_morton(BuildReferences references, int leaf_size);
 
 /// Parallel locally-ordered clustering (Meister & Bittner 2018), bottom up: neighbours in Morton
 /// order that are each other's nearest, of `radius` on either side, become one cluster.
-BinaryTree build_clustered(std::vector<BuildReference> references, int radius);
+BinaryTree build_clustered(BuildReferences references, int radius);
 
 /// One shape after another, each greedily to where areas grow least (Goldsmith & Salmon 1987:
 /// "Automatic creation of object hierarchies for ray tracing"; here every node has two children).
-BinaryTree build_inserted(std::vector<BuildReference> references, InsertionOrder order);
+BinaryTree build_inserted(BuildReferences references, InsertionOrder order);
 /// @}
 
 /// Indices by the Morton code of the centroid, 21 bits an axis.
-std::vector<uint32_t> morton_order(const std::vector<BuildReference>& references);
+std::vector<uint32_t> morton_order(const BuildReferences& references);
 
 /// @name Work on a finished tree
 /// @{

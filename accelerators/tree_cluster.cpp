@@ -29,7 +29,7 @@ uint64_t spread(uint64_t x) {
 constexpr int sorted_bit = 30;  // bits from here on are sorted by digits
 
 /// Sorts each run of keys that are equal from `sorted_bit` on.
-void sort_runs(std::vector<Key>& keys) {
+void sort_runs(RawAlignedVector<Key>& keys) {
     const size_t n = keys.size();
     const auto run = [&](size_t i) { return keys[i].code >> sorted_bit; };
     const auto less = [](const Key& a, const Key& b) {
@@ -54,12 +54,12 @@ void sort_runs(std::vector<Key>& keys) {
 
 /// By code, then by reference. The highest 33 bits by 11 at a time, in parallel by chunks that do
 /// not depend on the threads; they leave short runs, or long ones of equal codes.
-void radix_sort(std::vector<Key>& keys) {
+void radix_sort(RawAlignedVector<Key>& keys) {
     constexpr size_t digits = 2048, least = 8192, most_chunks = 16;
     const size_t n = keys.size();
     const size_t chunks = std::clamp<size_t>(n / least, 1, most_chunks);
     const auto chunk_begin = [&](size_t c) { return n * c / chunks; };
-    std::vector<Key> other(n);
+    RawAlignedVector<Key> other(n);
     std::vector<std::array<uint32_t, digits>> count(chunks);
     for (int shift = sorted_bit; shift < 63; shift += 11) {
         const auto digit = [&](const Key& k) { return size_t(k.code >> shift & (digits - 1)); };
@@ -88,7 +88,7 @@ void radix_sort(std::vector<Key>& keys) {
 }
 
 /// References by the Morton code of their centroids, 21 bits an axis; equal ones by index.
-std::vector<Key> morton_keys(const std::vector<BuildReference>& refs) {
+RawAlignedVector<Key> morton_keys(const BuildReferences& refs) {
     const ReferenceBounds range =
         sum_chunks<ReferenceBounds>(0, refs.size(), [&](size_t begin, size_t end) {
             ReferenceBounds sum;
@@ -100,7 +100,7 @@ std::vector<Key> morton_keys(const std::vector<BuildReference>& refs) {
     const float extent = (centroids.upper - centroids.lower).maxCoeff();
     const float scale = 2097151.0f / extent;
     const bool usable = extent > 0 && std::isfinite(extent) && std::isfinite(scale);
-    std::vector<Key> keys(refs.size());
+    RawAlignedVector<Key> keys(refs.size());
     parallel_for(refs.size(), 1 << 13, [&](size_t begin, size_t end) {
         for (size_t i = begin; i < end; ++i) {
             uint64_t code = 0;
@@ -117,7 +117,7 @@ std::vector<Key> morton_keys(const std::vector<BuildReference>& refs) {
 
 class MortonBuilder {
   public:
-    MortonBuilder(std::vector<BuildReference> references, size_t leaf_size)
+    MortonBuilder(BuildReferences references, size_t leaf_size)
         : refs_(std::move(references)), keys_(morton_keys(refs_)), leaf_size_(leaf_size) {}
 
     BinaryTree build() {
@@ -168,8 +168,8 @@ class MortonBuilder {
         return size_t(middle - keys_.begin());
     }
 
-    std::vector<BuildReference> refs_;
-    std::vector<Key> keys_;
+    BuildReferences refs_;
+    RawAlignedVector<Key> keys_;
     size_t leaf_size_;
     BinaryTree::Node* nodes_ = nullptr;
 };
@@ -177,7 +177,7 @@ class MortonBuilder {
 /// Merges clusters that are each other's nearest, in rounds.
 class ClusterBuilder {
   public:
-    ClusterBuilder(std::vector<BuildReference> references, int radius)
+    ClusterBuilder(BuildReferences references, int radius)
         : refs_(std::move(references)), radius_(size_t(radius)) {}
 
     BinaryTree build() {
@@ -185,7 +185,7 @@ class ClusterBuilder {
         tree_.nodes.resize(2 * n - 1);
         tree_.order.resize(n);
         next_inner_ = n - 1;
-        const std::vector<Key> keys = morton_keys(refs_);
+        const RawAlignedVector<Key> keys = morton_keys(refs_);
         clusters_.resize(n);
         for (size_t i = 0; i < n; ++i) {
             const BuildReference& r = refs_[keys[i].reference];
@@ -265,7 +265,7 @@ class ClusterBuilder {
 
     /// Each with its nearest if both are free, by index; the others with themselves.
     void match_greedily() {
-        std::vector<uint32_t> partner(nearest_.size());
+        RawAlignedVector<uint32_t> partner(nearest_.size());
         for (size_t i = 0; i < partner.size(); ++i) partner[i] = uint32_t(i);
         for (size_t i = 0; i < partner.size(); ++i) {
             const uint32_t j = nearest_[i];
@@ -285,29 +285,29 @@ class ClusterBuilder {
         return {out.bounds, node, 0};
     }
 
-    std::vector<BuildReference> refs_;
+    BuildReferences refs_;
     size_t radius_;
     BinaryTree tree_;
     size_t next_inner_ = 0;
     float scale_ = 1;
-    std::vector<Cluster> clusters_;  // in Morton order
-    std::vector<uint32_t> nearest_;
+    RawAlignedVector<Cluster> clusters_;  // in Morton order
+    RawAlignedVector<uint32_t> nearest_;
 };
 
 }  // namespace
 
-std::vector<uint32_t> morton_order(const std::vector<BuildReference>& references) {
-    const std::vector<Key> keys = morton_keys(references);
+std::vector<uint32_t> morton_order(const BuildReferences& references) {
+    const RawAlignedVector<Key> keys = morton_keys(references);
     std::vector<uint32_t> order(keys.size());
     for (size_t i = 0; i < keys.size(); ++i) order[i] = keys[i].reference;
     return order;
 }
 
-BinaryTree build_morton(std::vector<BuildReference> references, int leaf_size) {
+BinaryTree build_morton(BuildReferences references, int leaf_size) {
     return MortonBuilder(std::move(references), size_t(leaf_size)).build();
 }
 
-BinaryTree build_clustered(std::vector<BuildReference> references, int radius) {
+BinaryTree build_clustered(BuildReferences references, int radius) {
     return ClusterBuilder(std::move(references), radius).build();
 }
 

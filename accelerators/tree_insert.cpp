@@ -83,7 +83,7 @@ class Inserter {
 
 }  // namespace
 
-BinaryTree build_inserted(std::vector<BuildReference> references, InsertionOrder order) {
+BinaryTree build_inserted(BuildReferences references, InsertionOrder order) {
     Inserter inserter(references);
     std::vector<uint32_t> list;
     if (order == InsertionOrder::shuffled) list = shuffled(references.size());

@@ -73,6 +73,9 @@ class Optimiser {
             uint32_t from, parent;
         };
         std::vector<Open> open{{0, none}};
+        nodes_.reserve(tree.nodes.size());
+        parent_.reserve(tree.nodes.size());
+        from_.reserve(tree.nodes.size());
         while (!open.empty()) {
             const auto [from, parent] = open.back();
             open.pop_back();
@@ -127,8 +130,8 @@ class Optimiser {
     }
 
     /// The nodes as they are now. @param tree  that this was made of
-    RawVector<BinaryTree::Node> nodes(const BinaryTree& tree) const {
-        RawVector<BinaryTree::Node> list(nodes_.size());
+    RawAlignedVector<BinaryTree::Node> nodes(const BinaryTree& tree) const {
+        RawAlignedVector<BinaryTree::Node> list(nodes_.size());
         parallel_for(nodes_.size(), 1 << 13, [&](size_t begin, size_t end) {
             for (size_t i = begin; i < end; ++i) {
                 const SearchNode& from = nodes_[i];
@@ -321,10 +324,10 @@ class Optimiser {
         }
     }
 
-    std::vector<SearchNode> nodes_, saved_nodes_;
-    std::vector<uint32_t> parent_, saved_parents_;
-    std::vector<uint32_t> from_;    // the nodes' indices in the tree
-    std::vector<uint8_t> touched_;  // by a move of the batch
+    RawAlignedVector<SearchNode> nodes_, saved_nodes_;
+    RawAlignedVector<uint32_t> parent_, saved_parents_;
+    RawAlignedVector<uint32_t> from_;  // the nodes' indices in the tree
+    std::vector<uint8_t> touched_;     // by a move of the batch
     Box4::V scale_;
 };
 

@@ -107,8 +107,8 @@ struct Side {
 
 class SplitBuilder {
   public:
-    SplitBuilder(std::vector<BuildReference> references, const ShapeClipper& clipper,
-                 const TreeParameters& p, const TreeCosts& costs)
+    SplitBuilder(BuildReferences references, const ShapeClipper& clipper, const TreeParameters& p,
+                 const TreeCosts& costs)
         : refs_(std::move(references)),
           clip_(clipper.clip),
           triangles_(clipper.triangles),
@@ -391,7 +391,7 @@ class SplitBuilder {
         return whole;
     }
 
-    std::vector<BuildReference> refs_;
+    BuildReferences refs_;
     size_t n_ = 0;
     const ClipShape& clip_;
     const TriangleSet* triangles_;
@@ -404,7 +404,7 @@ class SplitBuilder {
 
 }  // namespace
 
-BinaryTree build_split(std::vector<BuildReference> references, const ShapeClipper& clipper,
+BinaryTree build_split(BuildReferences references, const ShapeClipper& clipper,
                        const TreeParameters& parameters, const TreeCosts& costs) {
     return SplitBuilder(std::move(references), clipper, parameters, costs).build();
 }

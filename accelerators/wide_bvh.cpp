@@ -482,7 +482,7 @@ class WideWriter {
     const WideCollapse& collapse_;
     const Set& set_;
     int parallel_levels_;
-    RawVector<Size> sizes_;  // of what becomes a wide node
+    RawAlignedVector<Size> sizes_;  // of what becomes a wide node
 };
 
 template <class Set, class Node>

@@ -66,7 +66,7 @@ class WidePlanner {
     }
 
     const BinaryTree& tree_;
-    RawVector<WideCollapse::Plan>& plans_;
+    RawAlignedVector<WideCollapse::Plan>& plans_;
     const TreeCosts& costs_;
     double wide_node_;
     std::span<const float> cost_of_shape_;

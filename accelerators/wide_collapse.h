@@ -42,7 +42,7 @@ class WideCollapse {
     static constexpr uint8_t own_node = 0x80;
 
     const BinaryTree& tree_;
-    RawVector<Plan> plans_;
+    RawAlignedVector<Plan> plans_;
     double expected_cost_ = 0;
 
     friend class WidePlanner;

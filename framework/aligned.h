@@ -8,8 +8,9 @@
 
 namespace crofton {
 
-/// Allocator for nodes: on cache lines, and from 2 MiB on, on huge pages where the system gives
-/// them.
+/// Allocator for nodes, and for what builders work on: on cache lines, and from 2 MiB on, on huge
+/// pages where the system gives them. (A build that touches fresh memory page by page may take half
+/// as long again.)
 template <class T>
 struct CacheLineAllocator {
     using value_type = T;
@@ -53,8 +54,6 @@ struct RawAllocator : Base {
         ::new (static_cast<void*>(p)) U(std::forward<Arguments>(arguments)...);
     }
 };
-template <class T>
-using RawVector = std::vector<T, RawAllocator<T, std::allocator<T>>>;
 template <class T>
 using RawAlignedVector = std::vector<T, RawAllocator<T, CacheLineAllocator<T>>>;
 

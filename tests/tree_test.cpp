@@ -109,7 +109,7 @@ bool leaves_cover(const BinaryTree& tree, const TriangleSet& set) {
     return true;
 }
 
-using References = std::vector<BuildReference>;
+using References = BuildReferences;
 
 void add_box(References& list, const Vec3f& center, float half) {
     list.push_back({{center - Vec3f::Constant(half), center + Vec3f::Constant(half)},
