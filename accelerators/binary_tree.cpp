@@ -176,7 +176,10 @@ class Collapse {
             std::sort(begin, end);
             end = std::unique(begin, end);
             out.make_leaf(first, size_t(end - begin));
-            if (costs_.blocks) out.blocks() = costs_.blocks({begin, end});
+            // How many blocks shapes fill may depend on their order, but not whether one is enough.
+            if (costs_.blocks)
+                out.blocks() =
+                    subtrees_[i].leaf == costs_.leaf_block ? 1 : costs_.blocks({begin, end});
             return;
         }
         out.make_inner(to + 1, to + 1 + subtrees_[node.left].nodes);

@@ -346,19 +346,23 @@ void set_node(QuantisedNode& node, const WideChildren& children) {
     }
 }
 
+/// What leaves are written from.
+template <class Set>
+using PackedFrom = std::conditional_t<std::is_same_v<Set, TriangleSet>, PatchCorners, const Set&>;
+
 /// Writes a binary tree as wide nodes: first it is measured what every subtree takes, then each is
 /// written where it belongs, near the root of a large tree those of one node at once.
 template <class Set, class Node>
 class WideWriter {
   public:
     WideWriter(WideBvh<Set>& bvh, RawAlignedVector<Node>& nodes, const BinaryTree& tree,
-               const WideCollapse& collapse, const Set& set)
+               const WideCollapse& collapse, const PackedFrom<Set>& corners)
         : leaves_(bvh.leaves),
           stats_(bvh.stats),
           nodes_(nodes),
           tree_(tree),
           collapse_(collapse),
-          set_(set),
+          corners_(corners),
           parallel_levels_(parallel_levels(tree.nodes.size()) / 2),
           sizes_(tree.nodes.size()) {}
 
@@ -455,7 +459,7 @@ class WideWriter {
             if (node.leaf()) {
                 child = WideChild::leaf(place.block, blocks(node));
                 if constexpr (triangles)
-                    leaves_.put(set_, shapes(node), place.block, place.id);
+                    leaves_.put(corners_, shapes(node), place.block, place.id);
                 else
                     leaves_.put(shapes(node), place.block);
                 place.block += blocks(node);
@@ -480,7 +484,7 @@ class WideWriter {
     RawAlignedVector<Node>& nodes_;
     const BinaryTree& tree_;
     const WideCollapse& collapse_;
-    const Set& set_;
+    const PackedFrom<Set>& corners_;
     int parallel_levels_;
     RawAlignedVector<Size> sizes_;  // of what becomes a wide node
 };
@@ -532,9 +536,10 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
     WideBvh bvh;
     bvh.format = p.nodes;
     TreeCosts costs = tree_costs<Set>(cost_constants.wide_node);
+    const PackedFrom<Set> corners(set);
     if constexpr (std::is_same_v<Set, TriangleSet>)
         costs.blocks = [&](std::span<const uint32_t> shapes) {
-            return TrianglePatches::count_patches(set, shapes);
+            return corners.count_patches(shapes);
         };
     const BinaryTree tree = build_tree(set, p, costs);
     if (tree.empty()) return bvh;
@@ -543,9 +548,9 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
     const WideCollapse collapse(tree, costs, 4 * cost_constants.wide_node, shape_costs(set, costs));
     bvh.cost = collapse.expected_cost();
     if (bvh.format == WideNodes::full)
-        WideWriter(bvh, bvh.nodes, tree, collapse, set).write();
+        WideWriter(bvh, bvh.nodes, tree, collapse, corners).write();
     else
-        WideWriter(bvh, bvh.quantised, tree, collapse, set).write();
+        WideWriter(bvh, bvh.quantised, tree, collapse, corners).write();
     if constexpr (std::is_same_v<Set, TriangleSet>)
         if (p.leaves == WideLeafForm::compact) {
             bvh.compact = true;

@@ -2,7 +2,11 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
+#include <bit>
 #include <cstring>
+
+#include "framework/parallel.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "framework/triangle_patches.cpp"
@@ -14,117 +18,112 @@ namespace crofton {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-/// The corners of a patch in the making, in registers. Spare lanes repeat the first, so that no
-/// arithmetic on them is slow or invalid.
+/// The corners of a patch in the making, by number, in registers. Spare lanes repeat the first.
 class Corners {
-    using D = hn::CappedTag<int32_t, TrianglePatch::width>;
+    using D = hn::CappedTag<uint32_t, TrianglePatch::width>;
     using V = hn::Vec<D>;
     static constexpr size_t N = hn::MaxLanes(D()), parts = TrianglePatch::width / N;
+    static constexpr uint32_t none = TrianglePatch::width;
 
   public:
-    /// One corner, its coordinates as they are stored.
-    struct Point {
-        int32_t at[3];
-        explicit HWY_INLINE Point(const float* p) { std::memcpy(at, p, sizeof at); }
-    };
+    explicit HWY_INLINE Corners(uint32_t first) {
+        for (V& v : numbers_) v = hn::Set(D(), first);
+    }
 
-    explicit HWY_INLINE Corners(const Point& first) {
-        for (size_t i = 0; i < parts; ++i)
-            for (int a = 0; a < 3; ++a) v_[a][i] = hn::Set(D(), first.at[a]);
-    }
-    HWY_INLINE uint32_t count() const { return count_; }
-
-    /// Bits of the corners that are at p. By position: meshes that were cut at seams of texture
-    /// share no indices there.
-    HWY_INLINE uint32_t find(const Point& p) const {
-        uint32_t bits = 0;
-        for (size_t i = 0; i < parts; ++i) {
-            const D d;
-            const auto same = hn::And(hn::And(hn::Eq(v_[0][i], hn::Set(d, p.at[0])),
-                                              hn::Eq(v_[1][i], hn::Set(d, p.at[1]))),
-                                      hn::Eq(v_[2][i], hn::Set(d, p.at[2])));
-            uint8_t b[8] = {};
-            hn::StoreMaskBits(d, same, b);
-            bits |= uint32_t(b[0]) << (i * N);
+    /// Adds a triangle, without a branch on which of its corners are there: it could not be
+    /// guessed.
+    /// @param index  where its corners are, one byte each
+    /// @return false, and nothing has changed, if there is no room
+    HWY_INLINE bool add(const PatchCorners::Numbers& t, uint8_t (&index)[3]) {
+        // A corner that is here is found before the first place that is free.
+        const uint32_t found[3] = {find(t[0]), find(t[1]), find(t[2])};
+        uint32_t count = count_, place[3];
+        for (int k = 0; k < 3; ++k) {
+            place[k] = std::min(found[k], count);
+            count += found[k] / none;
         }
-        return bits & ((1u << count_) - 1);
-    }
-    HWY_INLINE uint32_t put(const Point& p) {
-        const D d;
-        for (size_t i = 0; i < parts; ++i) {
-            const auto here = hn::Eq(hn::Iota(d, int32_t(i * N)), hn::Set(d, int32_t(count_)));
-            for (int a = 0; a < 3; ++a)
-                v_[a][i] = hn::IfThenElse(here, hn::Set(d, p.at[a]), v_[a][i]);
+        if (HWY_UNLIKELY(t[0] == t[1] || t[1] == t[2] || t[2] == t[0])) {
+            // Corners that are one are stored once.
+            count = count_;
+            for (int k = 0; k < 3; ++k) {
+                const int same = t[size_t(k)] == t[0] ? 0 : t[size_t(k)] == t[1] ? 1 : 2;
+                place[k] = same < k ? place[same] : std::min(found[k], count);
+                count += same < k ? 0 : found[k] / none;
+            }
         }
-        return count_++;
+        if (count > TrianglePatch::width) return false;
+        for (size_t k = 0; k < 3; ++k) {
+            put(t[k], place[k]);
+            index[k] = uint8_t(place[k]);
+        }
+        count_ = count;
+        return true;
     }
-    HWY_INLINE void store(TrianglePatch& patch) const {
-        for (int a = 0; a < 3; ++a)
-            for (size_t i = 0; i < parts; ++i)
-                hn::Store(v_[a][i], D(), reinterpret_cast<int32_t*>(patch.v[a] + i * N));
+    HWY_INLINE void store(const float* coordinates, TrianglePatch& patch) const {
+        alignas(32) uint32_t numbers[TrianglePatch::width];
+        for (size_t i = 0; i < parts; ++i) hn::Store(numbers_[i], D(), numbers + i * N);
+        for (size_t i = 0; i < TrianglePatch::width; ++i)
+            for (size_t a = 0; a < 3; ++a) patch.v[a][i] = coordinates[size_t{3} * numbers[i] + a];
     }
 
   private:
-    V v_[3][parts];
-    uint32_t count_ = 0;
+    /// Where a corner is; `none` if it is not there.
+    HWY_INLINE uint32_t find(uint32_t number) const {
+        uint32_t bits = 1u << none;
+        for (size_t i = 0; i < parts; ++i) {
+            uint8_t b[8] = {};
+            hn::StoreMaskBits(D(), hn::Eq(numbers_[i], hn::Set(D(), number)), b);
+            bits |= uint32_t(b[0]) << (i * N);
+        }
+        return uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(bits));
+    }
+    HWY_INLINE void put(uint32_t number, uint32_t place) {
+        const D d;
+        for (size_t i = 0; i < parts; ++i)
+            numbers_[i] = hn::IfThenElse(hn::Eq(hn::Iota(d, uint32_t(i * N)), hn::Set(d, place)),
+                                         hn::Set(d, number), numbers_[i]);
+    }
+
+    V numbers_[parts];
+    uint32_t count_ = 1;
 };
 
-/// Adds a triangle to a patch in the making.
-/// @param index  where its corners are in it, one byte each
-/// @return false, and nothing has changed, if there is no room
-HWY_INLINE bool add_triangle(Corners& corners, const TriangleSet& set, uint32_t shape,
-                             uint8_t (&index)[3]) {
-    const TriangleSet::Indices& t = set.triangles()[shape];
-    const float* const at = set.coordinates();
-    const Corners::Point p[3] = {Corners::Point(at + size_t{3} * t[0]),
-                                 Corners::Point(at + size_t{3} * t[1]),
-                                 Corners::Point(at + size_t{3} * t[2])};
-    const uint32_t found[3] = {corners.find(p[0]), corners.find(p[1]), corners.find(p[2])};
-    const bool fresh[3] = {!found[0], !found[1] && t[1] != t[0],
-                           !found[2] && t[2] != t[0] && t[2] != t[1]};
-    const uint32_t more = uint32_t(fresh[0]) + uint32_t(fresh[1]) + uint32_t(fresh[2]);
-    if (corners.count() + more > TrianglePatch::width) return false;
-    for (size_t k = 0; k < 3; ++k) {
-        if (fresh[k])
-            index[k] = uint8_t(corners.put(p[k]));
-        else if (found[k])
-            index[k] = uint8_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(found[k]));
-        else
-            index[k] = t[k] == t[0] ? index[0] : index[1];
-    }
-    return true;
-}
-
 /// Packs shapes into patches, each filled with the first of those left that fit.
-/// @param patches  where to; null: nothing is written
+/// @param patches  where to; not read unless `writes`
 /// @param list     ids of all patches; those of these from `first_id` on
 /// @return patches filled
-uint32_t pack(const TriangleSet& set, const uint32_t* shapes, size_t n, TrianglePatch* patches,
-              uint32_t* list, uint32_t first_id) {
+template <bool writes>
+HWY_INLINE uint32_t pack(const PatchCorners& corners, const uint32_t* shapes, size_t n,
+                         TrianglePatch* patches, uint32_t* list, uint32_t first_id) {
     uint32_t buffer[64], filled = 0;
     for (size_t from = 0; from < n; from += 64) {
         size_t left = std::min<size_t>(64, n - from);
-        std::copy_n(shapes + from, left, buffer);
+        const uint32_t* next = shapes + from;
         while (left > 0) {
-            Corners corners(
-                Corners::Point(set.coordinates() + size_t{3} * set.triangles()[buffer[0]][0]));
+            Corners patch_corners(corners.triangles()[next[0]][0]);
             uint8_t corner[3][TrianglePatch::width] = {};
             uint32_t ids[TrianglePatch::width];
             size_t kept = 0;
             uint32_t count = 0;
             for (size_t i = 0; i < left; ++i) {
+                const uint32_t shape = next[i];
                 uint8_t index[3];
-                if (count < TrianglePatch::width && add_triangle(corners, set, buffer[i], index)) {
-                    for (int k = 0; k < 3; ++k) corner[k][count] = index[k];
-                    ids[count++] = buffer[i];
+                if (count < TrianglePatch::width &&
+                    patch_corners.add(corners.triangles()[shape], index)) {
+                    if constexpr (writes) {
+                        for (int k = 0; k < 3; ++k) corner[k][count] = index[k];
+                        ids[count] = shape;
+                    }
+                    ++count;
                 } else {
-                    buffer[kept++] = buffer[i];
+                    buffer[kept++] = shape;
                 }
             }
             left = kept;
-            if (patches) {
+            next = buffer;
+            if constexpr (writes) {
                 TrianglePatch& patch = patches[filled];
-                corners.store(patch);
+                patch_corners.store(corners.coordinates(), patch);
                 std::memcpy(patch.corner, corner, sizeof corner);
                 patch.count = count;
                 patch.first_id = first_id;
@@ -141,6 +140,14 @@ uint32_t pack(const TriangleSet& set, const uint32_t* shapes, size_t n, Triangle
     return filled;
 }
 
+uint32_t count_patches(const PatchCorners& corners, const uint32_t* shapes, size_t n) {
+    return pack<false>(corners, shapes, n, nullptr, nullptr, 0);
+}
+void write_patches(const PatchCorners& corners, const uint32_t* shapes, size_t n,
+                   TrianglePatch* patches, uint32_t* list, uint32_t first_id) {
+    pack<true>(corners, shapes, n, patches, list, first_id);
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace crofton
 HWY_AFTER_NAMESPACE();
@@ -148,32 +155,107 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace crofton {
 namespace {
-HWY_EXPORT(pack);
+HWY_EXPORT(count_patches);
+HWY_EXPORT(write_patches);
+
+/// Finds a place for each position, the same for equal ones: a table of points by a hash of their
+/// position, filled by all threads at once. Of the points at one position the lowest stays.
+class PointTable {
+  public:
+    /// @param corner  of a point: the number of a corner
+    template <class Corner>
+    PointTable(size_t points, const float* coordinates, const Corner& corner)
+        : shift_(64 - std::bit_width(2 * points)), table_(size_t{1} << (64 - shift_)) {
+        std::memset(table_.data(), 0xff, table_.size() * sizeof(uint32_t));
+        place_.resize(points);
+        parallel_for(points, 1 << 13, [&](size_t begin, size_t end) {
+            for (size_t p = begin; p < end; ++p) {
+                const float* const at = coordinates + size_t{3} * corner(p);
+                place_[p] = insert(uint32_t(p), at, [&](uint32_t other) {
+                    return std::memcmp(at, coordinates + size_t{3} * corner(other), 12) == 0;
+                });
+            }
+        });
+    }
+    /// The lowest point at the position of point p.
+    uint32_t first(size_t p) const { return table_[place_[p]]; }
+
+  private:
+    template <class Equal>
+    uint32_t insert(uint32_t p, const float* at, const Equal& equal) {
+        uint32_t bits[3];
+        std::memcpy(bits, at, sizeof bits);
+        const uint64_t hash = bits[0] * 0x9e3779b97f4a7c15 + bits[1] * 0xc2b2ae3d27d4eb4f +
+                              bits[2] * 0x165667b19e3779f9;
+        for (size_t i = hash >> shift_;; i = (i + 1) & (table_.size() - 1)) {
+            std::atomic_ref<uint32_t> slot(table_[i]);
+            uint32_t other = slot.load(std::memory_order_relaxed);
+            // A place once taken stays that of its position.
+            if (other == free && slot.compare_exchange_strong(other, p, std::memory_order_relaxed))
+                return uint32_t(i);
+            if (!equal(other)) continue;
+            while (p < other && !slot.compare_exchange_weak(other, p, std::memory_order_relaxed)) {
+            }
+            return uint32_t(i);
+        }
+    }
+
+    static constexpr uint32_t free = ~0u;
+    int shift_;
+    RawAlignedVector<uint32_t> table_, place_;
+};
 }  // namespace
+
+PatchCorners::PatchCorners(const TriangleSet& set)
+    : coordinates_(set.coordinates()), triangles_(set.size()) {
+    if (set.size() == 0) return;
+    const uint32_t* const begin = set.triangles()[0].data();
+    const size_t corners = size_t{3} * set.size();
+    const auto [low, high] = std::minmax_element(begin, begin + corners);
+    const uint32_t least = *low;
+    const auto number = [&](const auto& table, const auto& point, const auto& corner) {
+        parallel_for(set.size(), 1 << 13, [&](size_t from, size_t to) {
+            for (size_t i = 3 * from; i < 3 * to; ++i)
+                triangles_[i / 3][i % 3] = uint32_t(corner(table.first(point(i))));
+        });
+    };
+    if (*high - least < corners) {
+        const auto corner = [&](size_t point) { return size_t(least + point); };
+        const PointTable table(*high - least + size_t{1}, coordinates_, corner);
+        number(
+            table, [&](size_t i) { return size_t(begin[i] - least); }, corner);
+    } else {
+        // A few triangles of a large mesh.
+        const auto corner = [&](size_t point) { return size_t(begin[point]); };
+        number(
+            PointTable(corners, coordinates_, corner), [](size_t i) { return i; }, corner);
+    }
+}
 
 void TrianglePatches::resize(size_t patches, size_t ids) {
     patches_.resize(patches);
     ids_.resize(ids);
 }
 
-void TrianglePatches::put(const TriangleSet& set, std::span<const uint32_t> shapes,
+void TrianglePatches::put(const PatchCorners& corners, std::span<const uint32_t> shapes,
                           uint32_t first_patch, uint32_t first_id) {
     // Several patches may leave some of it.
     std::fill_n(ids_.begin() + first_id, listed_ids(shapes.size()), no_id);
-    HWY_DYNAMIC_DISPATCH(pack)
-    (set, shapes.data(), shapes.size(), patches_.data() + first_patch, ids_.data(), first_id);
+    HWY_DYNAMIC_DISPATCH(write_patches)
+    (corners, shapes.data(), shapes.size(), patches_.data() + first_patch, ids_.data(), first_id);
 }
 
 uint32_t TrianglePatches::add(const TriangleSet& set, std::span<const uint32_t> shapes) {
+    const PatchCorners corners(set);
     const uint32_t first = size(), first_id = uint32_t(ids_.size());
-    resize(first + count_patches(set, shapes), first_id + listed_ids(shapes.size()));
-    put(set, shapes, first, first_id);
+    resize(first + corners.count_patches(shapes), first_id + listed_ids(shapes.size()));
+    put(corners, shapes, first, first_id);
     return first;
 }
 
-uint32_t TrianglePatches::count_patches(const TriangleSet& set, std::span<const uint32_t> shapes) {
+uint32_t PatchCorners::count_patches(std::span<const uint32_t> shapes) const {
     if (shapes.size() <= 2) return uint32_t(!shapes.empty());  // six corners at most
-    return HWY_DYNAMIC_DISPATCH(pack)(set, shapes.data(), shapes.size(), nullptr, nullptr, 0);
+    return HWY_DYNAMIC_DISPATCH(count_patches)(*this, shapes.data(), shapes.size());
 }
 
 }  // namespace crofton

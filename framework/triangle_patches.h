@@ -49,6 +49,24 @@ struct alignas(64) TrianglePatch {
 };
 static_assert(sizeof(TrianglePatch) == 128);
 
+/// The corners of all triangles of a set by number, the same for those at one place: meshes that
+/// were cut at seams of texture share no indices there. What patches are packed from.
+class PatchCorners {
+  public:
+    using Numbers = std::array<uint32_t, 3>;
+    /// O(N); must not outlive the set.
+    explicit PatchCorners(const TriangleSet& set);
+    const Numbers* triangles() const { return triangles_.data(); }
+    /// Three floats a number.
+    const float* coordinates() const { return coordinates_; }
+    /// How many patches some shapes fill.
+    uint32_t count_patches(std::span<const uint32_t> shapes) const;
+
+  private:
+    const float* coordinates_;
+    RawAlignedVector<Numbers> triangles_;
+};
+
 /// Leaves of one structure over triangles, as patches: a copy in the order of the leaves.
 class TrianglePatches {
   public:
@@ -61,10 +79,8 @@ class TrianglePatches {
         return shapes > TrianglePatch::own_ids ? uint32_t(shapes) : 0;
     }
     /// Writes a leaf: as many patches as `count_patches` says, and `listed_ids`.
-    void put(const TriangleSet& set, std::span<const uint32_t> shapes, uint32_t first_patch,
+    void put(const PatchCorners& corners, std::span<const uint32_t> shapes, uint32_t first_patch,
              uint32_t first_id);
-    /// How many patches some shapes fill.
-    static uint32_t count_patches(const TriangleSet& set, std::span<const uint32_t> shapes);
     template <class A>
     void archive(A& a) {
         a(patches_, ids_);

@@ -51,7 +51,7 @@ void check_patches(const TriangleSet& set, uint32_t expected) {
     TrianglePatches patches;
     CHECK(patches.add(set, all(set)) == 0);
     CHECK(patches.size() == expected);
-    CHECK(TrianglePatches::count_patches(set, all(set)) == expected);
+    CHECK(PatchCorners(set).count_patches(all(set)) == expected);
     std::map<uint32_t, int> seen;
     for (uint32_t p = 0; p < patches.size(); ++p) {
         const TrianglePatch& patch = patches.patches()[p];
