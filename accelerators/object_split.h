@@ -12,9 +12,9 @@ namespace crofton {
 
 inline constexpr int max_bins = 64;
 
-/// Bins for a node of n references.
+/// Bins for a node of n references: where there are few, few planes between them differ.
 inline int bins_for(size_t n, int bins) {
-    return std::min({bins, max_bins, std::max(4, int(std::min<size_t>(n, max_bins)))});
+    return std::min({bins, max_bins, int(4 + std::min<size_t>(n / 4, max_bins))});
 }
 
 /// The three axes; a box's fourth lane means nothing, and as a denormal number it would be slow.
@@ -83,23 +83,19 @@ struct BinTable {
     bool weighted;
 
     BinTable(std::span<const BuildReference> references, const Binning& binning, int n,
-             bool by_cost)
-        : bins(n), weighted(by_cost) {
-        namespace hn = hwy::HWY_NAMESPACE;
-        const Box4 none;
-        for (int b = 0; b < n; ++b) {
-            for (int a = 0; a < 3; ++a) {
-                hn::Store(none.lower, Box4::D(), bin[b][a].lower);
-                hn::Store(none.upper, Box4::D(), bin[b][a].upper);
-            }
-            std::fill_n(count[b], 4, 0u);
+             bool by_cost) {
+        clear(n, by_cost);
+        // Neighbours are mostly in one bin, and each waits until the one before is stored there: so
+        // they take turns with two tables.
+        constexpr size_t many = 128;
+        if (references.size() < many) {
+            fill(references, binning, *this);
+            return;
         }
-        if (weighted)
-            for (int b = 0; b < n; ++b) std::fill_n(cost[b], 4, 0.0f);
-        if (weighted)
-            fill<true>(references, binning);
-        else
-            fill<false>(references, binning);
+        BinTable other;
+        other.clear(n, by_cost);
+        fill(references, binning, other);
+        add(other);
     }
     BinTable() {}
     void add(const BinTable& t) {
@@ -112,18 +108,43 @@ struct BinTable {
     }
 
   private:
-    template <bool by_cost>
-    void fill(std::span<const BuildReference> references, const Binning& binning) {
-        for (const BuildReference& r : references) {
+    void clear(int n, bool by_cost) {
+        bins = n;
+        weighted = by_cost;
+        const Box4 none;
+        for (int b = 0; b < n; ++b) {
+            for (int a = 0; a < 3; ++a) {
+                hn::Store(none.lower, Box4::D(), bin[b][a].lower);
+                hn::Store(none.upper, Box4::D(), bin[b][a].upper);
+            }
+            std::fill_n(count[b], 4, 0u);
+            if (weighted) std::fill_n(cost[b], 4, 0.0f);
+        }
+    }
+    /// Every other reference into another table.
+    void fill(std::span<const BuildReference> references, const Binning& binning, BinTable& other) {
+        const auto put = [&](auto by_cost, const BuildReference& r, BinTable& table) {
             const Box4 box(r);
             alignas(16) int32_t place[4];
             binning.of(box, place);
             for (int a = 0; a < 3; ++a) {
-                bin[place[a]][a].extend(box);
-                ++count[place[a]][a];
-                if constexpr (by_cost) cost[place[a]][a] += r.cost;
+                table.bin[place[a]][a].extend(box);
+                ++table.count[place[a]][a];
+                if constexpr (by_cost.value) table.cost[place[a]][a] += r.cost;
             }
-        }
+        };
+        const auto put_all = [&](auto by_cost) {
+            const size_t n = references.size();
+            for (size_t i = 0; i + 1 < n; i += 2) {
+                put(by_cost, references[i], *this);
+                put(by_cost, references[i + 1], other);
+            }
+            if (n & 1) put(by_cost, references[n - 1], *this);
+        };
+        if (weighted)
+            put_all(std::true_type());
+        else
+            put_all(std::false_type());
     }
 };
 
