@@ -1,3 +1,5 @@
+#include <hwy/cache_control.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -12,9 +14,9 @@ namespace {
 
 constexpr int median_depth = 40;        // from here on, halves by count
 constexpr size_t parallel_size = 2048;  // fewer references are not worth a task
-constexpr size_t least_split = 4;       // fewer references are not cut
-constexpr int max_slabs = 32;
-constexpr double least_overlap = 0.2;  // share of a node, but no more than
+constexpr size_t least_split = 8;       // fewer references are not cut
+constexpr int max_slabs = max_bins;
+constexpr double least_overlap = 0.4;  // share of a node, but no more than
 constexpr double large_overlap = 100;  // times split_overlap of the root
 
 /// A plane that cuts a node's box.
@@ -207,14 +209,13 @@ class SplitBuilder {
     }
 
     SpatialSplit find_spatial_split(std::span<const BuildReference> all, const Box4& box) const {
-        // Finer than the bins: where a plane cuts shapes matters more than which side whole ones
-        // take.
-        const int most = std::min(max_slabs, 2 * bins_);
-        const Slabs slabs(box,
-                          int(std::clamp<size_t>(all.size(), std::min(8, most), size_t(most))));
+        const Slabs slabs(box, int(std::clamp<size_t>(all.size(), std::min(8, bins_), bins_)));
         const SlabTable table = sum_chunks<SlabTable>(0, all.size(), [&](size_t from, size_t to) {
             SlabTable sum(slabs.count());
-            for (size_t i = from; i < to; ++i) chop(all[i], slabs, sum);
+            for (size_t i = from; i < to; ++i) {
+                if (triangles_) prefetch(all.first(to), i);
+                chop(all[i], slabs, sum);
+            }
             return sum;
         });
         const BinRows rows{table.bin,        table.enter,      table.leave,
@@ -222,6 +223,16 @@ class SplitBuilder {
         const ObjectSplit best = BinSweep(rows, costs_).best(box, slabs.usable(), costs_);
         if (best.axis < 0) return {};
         return {best.cost, best.axis, slabs.plane(best.axis, best.bin)};
+    }
+
+    /// Fetches the corners of a reference that comes soon, and the indices of a later one: shapes
+    /// lie anywhere in memory.
+    void prefetch(std::span<const BuildReference> all, size_t i) const {
+        constexpr size_t ahead = 4;
+        if (i + 2 * ahead < all.size())
+            hwy::Prefetch(triangles_->triangles() + all[i + 2 * ahead].shape);
+        if (i + ahead < all.size())
+            for (int k = 0; k < 3; ++k) hwy::Prefetch(&triangles_->vertex(all[i + ahead].shape, k));
     }
 
     /// Adds a reference's parts to the slabs that they lie in.
