@@ -245,8 +245,7 @@ void TrianglePatches::put(const PatchCorners& corners, std::span<const uint32_t>
     (corners, shapes.data(), shapes.size(), patches_.data() + first_patch, ids_.data(), first_id);
 }
 
-uint32_t TrianglePatches::add(const TriangleSet& set, std::span<const uint32_t> shapes) {
-    const PatchCorners corners(set);
+uint32_t TrianglePatches::add(const PatchCorners& corners, std::span<const uint32_t> shapes) {
     const uint32_t first = size(), first_id = uint32_t(ids_.size());
     resize(first + corners.count_patches(shapes), first_id + listed_ids(shapes.size()));
     put(corners, shapes, first, first_id);

@@ -71,7 +71,7 @@ class PatchCorners {
 class TrianglePatches {
   public:
     /// Appends a leaf. @return its first patch; the others follow
-    uint32_t add(const TriangleSet& set, std::span<const uint32_t> shapes);
+    uint32_t add(const PatchCorners& corners, std::span<const uint32_t> shapes);
     /// Makes room; `put` fills it, in any order.
     void resize(size_t patches, size_t ids);
     /// Room in the list of ids for a leaf of so many shapes.

@@ -48,10 +48,11 @@ std::vector<uint32_t> all(const TriangleSet& set) {
 }
 
 void check_patches(const TriangleSet& set, uint32_t expected) {
+    const PatchCorners corners(set);
     TrianglePatches patches;
-    CHECK(patches.add(set, all(set)) == 0);
+    CHECK(patches.add(corners, all(set)) == 0);
     CHECK(patches.size() == expected);
-    CHECK(PatchCorners(set).count_patches(all(set)) == expected);
+    CHECK(corners.count_patches(all(set)) == expected);
     std::map<uint32_t, int> seen;
     for (uint32_t p = 0; p < patches.size(); ++p) {
         const TrianglePatch& patch = patches.patches()[p];
@@ -75,13 +76,41 @@ TEST_CASE("triangle patches: neighbours share corners, and every triangle is in 
     check_patches(soup(70), 35);
 }
 
+TEST_CASE("patches: corners at one place have one number, whatever their indices") {
+    // A strip whose triangles share no indices, and the same as a few triangles of a large mesh.
+    for (const uint32_t unused : {0u, 100000u}) {
+        const TriangleSet joined = strip(60);
+        std::vector<Vec3f> corners{{7, 7, 7}};
+        corners.resize(1 + unused, Vec3f(1, 0, 0));
+        std::vector<TriangleSet::Indices> triangles;
+        for (uint32_t i = 0; i < joined.size(); ++i) {
+            const uint32_t k = uint32_t(corners.size());
+            for (int c = 0; c < 3; ++c) corners.push_back(joined.vertex(i, c));
+            triangles.push_back({k, k + 1, k + 2});
+        }
+        if (unused) triangles.push_back({0, 0, 0});
+        const TriangleSet cut(corners, triangles);
+        const PatchCorners numbers(cut);
+        CHECK(numbers.count_patches(all(joined)) == 10);
+        std::map<std::array<float, 3>, uint32_t> number;
+        for (uint32_t i = 0; i < cut.size(); ++i)
+            for (int c = 0; c < 3; ++c) {
+                const Vec3f& v = cut.vertex(i, c);
+                const uint32_t n = numbers.triangles()[i][size_t(c)];
+                CHECK(number.try_emplace({v[0], v[1], v[2]}, n).first->second == n);
+                CHECK(Vec3f(Eigen::Map<const Vec3f>(numbers.coordinates() + 3 * n)) == v);
+            }
+    }
+}
+
 /// Compact patches of the same triangles: corners by their bits, ids, and no more vertices than
 /// asked.
 void check_compact(const TriangleSet& set, size_t most_vertices) {
+    const PatchCorners corners(set);
     TrianglePatches full;
     const std::vector<uint32_t> shapes = all(set);
     for (size_t i = 0; i < shapes.size(); i += 16)
-        full.add(set, std::span(shapes).subspan(i, std::min<size_t>(16, shapes.size() - i)));
+        full.add(corners, std::span(shapes).subspan(i, std::min<size_t>(16, shapes.size() - i)));
     const CompactPatches compact(full);
     REQUIRE(compact.size() == full.size());
     size_t wrong = 0;
@@ -129,7 +158,7 @@ TEST_CASE("compact patches: the same corners and ids; vertices are shared within
     const TriangleSet set({{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 1}}, apart);
     TrianglePatches full;
     const std::vector<uint32_t> near{3, 5, 7}, far{2, 70000}, most{9, 65544}, more{9, 65545};
-    for (const auto* leaf : {&near, &far, &most, &more}) full.add(set, *leaf);
+    for (const auto* leaf : {&near, &far, &most, &more}) full.add(PatchCorners(set), *leaf);
     const CompactPatches compact(full);
     REQUIRE(compact.size() == 4);
     uint32_t p = 0;
