@@ -9,8 +9,8 @@
 namespace crofton {
 
 /// Allocator for nodes, and for what builders work on: on cache lines, and from 2 MiB on, on huge
-/// pages where the system gives them. (A build that touches fresh memory page by page may take half
-/// as long again.)
+/// pages where the system gives them (/sys/kernel/mm/transparent_hugepage/enabled is `madvise` or
+/// `always`). A build that touches fresh memory page by page may take half as long again.
 template <class T>
 struct CacheLineAllocator {
     using value_type = T;
@@ -23,7 +23,13 @@ struct CacheLineAllocator {
     bool operator==(const CacheLineAllocator&) const { return true; }
 };
 
-/// @return `bytes` bytes aligned to 64, or to 2 MiB and advised for huge pages if there are so many
+/// Whether large structures that are built from now on ask for huge pages; at first they do, unless
+/// the environment variable CROFTON_HUGE_PAGES is 0. To measure what these are worth.
+void set_huge_pages(bool on);
+
+/// @return `bytes` bytes aligned to 64, or to 2 MiB if there are so many; then the system is
+/// advised
+///         to back each whole 2 MiB by a huge page, or, see set_huge_pages, not to
 /// @throws std::bad_alloc
 void* allocate_for_traversal(size_t bytes);
 
