@@ -66,6 +66,11 @@ double needed_share(double count, double rays) {
     return 1 - std::exp(-rays * parts_per_ray / parts);
 }
 
+double coherence_factor(const StructureCosts& costs, Coherence coherence) {
+    if (coherence == Coherence::unknown) return 1;
+    return coherence == Coherence::together ? costs.together : costs.apart;
+}
+
 struct AutoParameters {
     double rays = 1e6;
     double memory = 0;
@@ -84,7 +89,7 @@ struct AutoParameters {
 /// takes more memory than was expected, and than there is, is built again as the next best.
 std::unique_ptr<Primitive> build_auto(const PrimitiveSet& set, const ParameterValues& values) {
     const AutoParameters p = read_parameters<AutoParameters>(values);
-    const Objective objective{p.rays, p.memory, p.priority};
+    const Objective objective{p.rays, p.memory, p.priority, {}};
     std::vector<StructureChoice> choices = structure_choices();
     // What rays build later cannot be looked at before: it might not fit.
     if (p.memory > 0) std::erase_if(choices, is_lazy);
@@ -156,7 +161,7 @@ CostEstimate estimate(const StructureCosts* costs, bool lazy, double count,
         e.build_s *= bounds_share + (1 - bounds_share) * needed_share(count, objective.rays);
     }
     e.bytes = p.bytes * count;
-    e.ns_per_ray = p.ray_ns;
+    e.ns_per_ray = p.ray_ns * coherence_factor(*costs, objective.coherence);
     e.ray_spread = costs->ray_spread;
     set_total(e, objective);
     return e;

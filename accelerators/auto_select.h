@@ -28,10 +28,14 @@ enum class Priority {
 };
 inline constexpr double slowest = 4;
 
+/// How rays follow each other: from one point and near each other, as from a camera, or not.
+enum class Coherence { unknown, together, apart };
+
 struct Objective {
     double rays = 1e6;  ///< expected
     double memory = 0;  ///< bytes at most; 0: no limit
     Priority priority = Priority::total;
+    Coherence coherence = Coherence::unknown;
 };
 
 /// What a structure is expected to cost over some shapes.

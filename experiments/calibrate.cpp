@@ -331,6 +331,21 @@ Observation observe(const StructureChoice& choice, const CalibrationScene& sampl
     return o;
 }
 
+/// What rays of the view take, and those of the other sets, over the mean of all.
+void set_coherence(StructureCosts& costs, const std::vector<Observation>& observations) {
+    std::vector<double> together, apart;
+    for (const Observation& o : observations) {
+        constexpr size_t view = 1;  // see ray_costs
+        if (o.rays.size() <= view || o.sample->view.empty()) continue;
+        std::vector<RayCost> others = o.rays;
+        others.erase(others.begin() + view);
+        together.push_back(o.rays[view].ns / o.ray_ns);
+        apart.push_back(geometric_mean_ns(others) / o.ray_ns);
+    }
+    if (together.empty()) return;
+    costs.together = geometric_mean(together), costs.apart = geometric_mean(apart);
+}
+
 void set_thinned(StructureCosts& costs, const std::vector<Observation>& observations) {
     double ray = 0, build = 0;
     int n = 0;
@@ -397,6 +412,7 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
             build_deviations.push_back(std::log(x / costs.growth.back().build_ns));
     }
     set_thinned(costs, observations);
+    set_coherence(costs, observations);
     costs.ray_spread = root_mean_square(ray_deviations);
     costs.build_spread = root_mean_square(build_deviations);
     fit_counted(costs, counted, cache_bytes, nodes);

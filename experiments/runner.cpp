@@ -55,7 +55,8 @@ struct Chosen {
     const Variant* variant;
     double rays;
     Selection selection;
-    Variant spec;      ///< of the plan that was chosen
+    Variant spec;                  ///< of the plan that was chosen
+    std::vector<double> choose_s;  ///< that choosing took, each time
     size_t trial = 0;  ///< that measures it: its own, or that of a variant with the same plan
     bool shared = false;
 };
@@ -147,7 +148,7 @@ class Run {
 
     Objective objective(double rays) const {
         return {spec_.objective.rays.value_or(rays), spec_.objective.memory,
-                spec_.objective.priority};
+                spec_.objective.priority, Coherence::unknown};
     }
 
     Assembly assembled(const Variant& variant) const {
@@ -171,8 +172,14 @@ class Run {
 
     double median_build_s(const Variant& variant) const {
         std::vector<double> seconds;
-        for (int64_t i = 0; i < spec_.run.repeats; ++i)
+        // Short ones vary most.
+        constexpr double enough_s = 0.02;
+        constexpr int64_t most = 15;
+        double sum = 0;
+        for (int64_t i = 0; i < spec_.run.repeats || (i < most && sum < enough_s); ++i) {
             seconds.push_back(assembled(variant).build_s);
+            sum += seconds.back();
+        }
         return median_interval(seconds).median;
     }
 
@@ -224,21 +231,26 @@ class Run {
         }
     }
 
-    void choose(const Variant& variant, double rays, const WorkloadSpec& workload,
-                std::vector<Trial>& trials) {
+    Selection selected(const Chosen& c) const {
         AutoOptions options;
-        options.objective = objective(rays);
-        options.objective.rays = rays;
+        options.objective = objective(c.rays);
+        options.objective.rays = c.rays;
         options.max_error = spec_.objective.max_error;
         options.pixel_angle = pixel_;
         options.clock = spec_.objective.clock;
         RaySample sample = this->sample();
-        sample.mode = *variant.mode;
-        Chosen& c = chosen_.emplace_back(Chosen{&variant, rays, {}, variant, 0, false});
-        c.selection = choose_assembly(scene_, options, sample, calibration());
+        sample.mode = *c.variant->mode;
+        return choose_assembly(scene_, options, sample, calibration());
+    }
+
+    void choose(const Variant& variant, double rays, const WorkloadSpec& workload,
+                std::vector<Trial>& trials) {
+        Chosen& c = chosen_.emplace_back(Chosen{&variant, rays, {}, variant, {}, 0, false});
+        c.selection = selected(c);
+        c.choose_s.push_back(c.selection.choose_s);
         c.spec.plan = plan_of(c.selection.choice().choice);
         c.spec.canonical = canonical(c.spec.plan);
-        c.spec.exact = options.max_error <= 0;
+        c.spec.exact = spec_.objective.max_error <= 0;
         if (!spec_.run.budgets.empty()) c.spec.name += fmt::format(" [{:g}]", rays);
         for (size_t t = 0; t < trials.size(); ++t)
             if (trials[t].built->spec->canonical == c.spec.canonical &&
@@ -261,17 +273,17 @@ class Run {
         progress_.step("predicting", true);
         // At most a quarter of the shapes, so that it is before the build.
         constexpr double pilot_shapes = 16384, least_factor = 4;
-        constexpr size_t pilot_rays = 2048;
-        constexpr int pilot_builds = 3;
+        constexpr size_t pilot_rays = 8192;
+        constexpr int pilot_builds = 5;
         AutoOptions options;
         options.objective = objective(double(rays_.size()));
+        options.objective.coherence = coherence_of(rays_);
         options.clock = spec_.objective.clock;
         if (!counts_) {
             counts_ = count_shapes(scene_);
             counts_->weight = test_weight(scene_, counts_->main_kind());
-            double unique = 0;
-            for (const SceneCounts::Kind& kind : counts_->kinds) unique += kind.unique;
-            pilot_.emplace(scene_, *counts_, std::min(pilot_shapes, unique / least_factor));
+            pilot_.emplace(scene_, *counts_,
+                           std::min(pilot_shapes, counts_->unique() / least_factor));
         }
         const std::vector<Ray> some = some_of(rays_, pilot_rays);
         for (Trial& trial : trials) {
@@ -280,14 +292,15 @@ class Run {
             sample.rays = some;
             sample.mode = *trial.built->spec->mode;
             const auto start = std::chrono::steady_clock::now();
+            double factor = 1;
             const CostEstimate e = pilot_->estimate(choice, trial.built->spec->plan, sample,
-                                                    options, calibration(), pilot_builds);
+                                                    options, calibration(), pilot_builds, &factor);
             PredictedCosts p;
             p.choose_s =
                 std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
             p.build_s = e.build_s, p.bytes = e.bytes, p.ns_per_ray = e.ns_per_ray;
-            p.expected_ns = counted_ns(*trial.built->assembly.root, choice.structure, *counts_,
-                                       sample, calibration());
+            p.expected_ns = factor * counted_ns(*trial.built->assembly.root, choice.structure,
+                                                *counts_, sample, calibration());
             trial.row.predicted = p;
         }
     }
@@ -302,11 +315,11 @@ class Run {
             row.predicted = PredictedCosts{c.selection.choose_s, e.build_s, e.bytes, e.ns_per_ray,
                                            c.selection.expected_ns};
             constexpr size_t shown = 5;
-            output_.explanations.push_back(
-                fmt::format("{}, {}, {}: {}  measured: {:.1f} ns/ray, built in {:.4f} s\n",
-                            row.scene, row.workload, row.variant,
-                            explanation(c.selection, {c.rays, spec_.objective.memory, {}}, shown),
-                            row.ns_per_ray.median, row.build_s));
+            output_.explanations.push_back(fmt::format(
+                "{}, {}, {}: {}  measured: {:.1f} ns/ray, built in {:.4f} s\n", row.scene,
+                row.workload, row.variant,
+                explanation(c.selection, {c.rays, spec_.objective.memory, {}, {}}, shown),
+                row.ns_per_ray.median, row.build_s));
             if (spec_.run.budgets.empty() && c.shared) {
                 results_.add(row);
                 output_.rows.push_back(row);
@@ -330,11 +343,16 @@ class Run {
         std::set<double> measured;
         for (const double rays : spec_.run.budgets)
             measured.insert(std::min(rays, double(rays_.size())));
+        // What takes a moment is timed as often as builds are; of what takes longer, once says
+        // enough.
+        constexpr double long_s = 0.02;
         constexpr int passes = 3;
         for (int pass = 0; pass < passes; ++pass) {
             progress_.step(fmt::format("timing totals: pass {} of {}", pass + 1, passes), true);
             for (const double rays : measured)
                 for (const Trial& trial : trials) total(trial).measure(rays);
+            for (Chosen& c : chosen_)
+                if (c.choose_s.front() < long_s) c.choose_s.push_back(selected(c).choose_s);
         }
         const auto add = [&](const Trial& trial, Row row, double rays, double choose_s) {
             TotalTime& time = total(trial);
@@ -352,9 +370,10 @@ class Run {
             const CostEstimate& e = c.selection.choice().predicted;
             row.variant = c.variant->name;
             row.chosen = true;
-            row.predicted = PredictedCosts{c.selection.choose_s, e.build_s, e.bytes, e.ns_per_ray,
-                                           c.selection.expected_ns};
-            add(trials[c.trial], row, c.rays, c.selection.choose_s);
+            const double choose_s = median_interval(c.choose_s).median;
+            row.predicted =
+                PredictedCosts{choose_s, e.build_s, e.bytes, e.ns_per_ray, c.selection.expected_ns};
+            add(trials[c.trial], row, c.rays, choose_s);
         }
     }
 

@@ -18,7 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int64_t file_version = 1;
+constexpr int64_t file_version = 2;
 constexpr double most = 1e300;
 
 /// Between two points on logarithmic axes, and beyond them.
@@ -44,6 +44,7 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("spread", array_of({s.ray_spread, s.build_spread}));
     table.set("order", array_of({s.order_scale, s.order_power}));
     table.set("thinned", array_of({s.thin_ray, s.thin_build}));
+    table.set("coherence", array_of({s.together, s.apart}));
     table.set("counted",
               array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error}));
     ConfigValue growth;
@@ -91,6 +92,8 @@ StructureCosts read_structure(ConfigTable& table) {
     s.order_scale = order[0], s.order_power = order[1];
     const std::vector<double> thinned = required(table, "thinned", 2);
     s.thin_ray = thinned[0], s.thin_build = thinned[1];
+    const std::vector<double> coherence = required(table, "coherence", 2);
+    s.together = coherence[0], s.apart = coherence[1];
     const std::vector<double> c = required(table, "counted", 5);
     s.per_ray = c[0], s.per_step = c[1], s.per_test = c[2], s.per_doubling = c[3];
     s.fit_error = c[4];

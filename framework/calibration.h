@@ -67,6 +67,10 @@ struct StructureCosts {
     /// these powers of the numbers of shapes.
     double thin_ray = 0.15, thin_build = 1;
 
+    /// ns per ray over those of growth, which are means over all: of rays from one point, as from a
+    /// camera, neighbours together, and of all others.
+    double together = 1, apart = 1;
+
     /// At any number of shapes >= 1.
     GrowthPoint at(double shapes) const;
     /// Nanoseconds of a ray with such counts. @param cache_bytes  what the second cache holds

@@ -16,10 +16,11 @@ double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-std::vector<Candidate> candidates_for(const SceneCounts& counts, const AutoOptions& options,
-                                      const Calibration& calibration) {
+std::vector<Candidate> candidates_for(std::vector<PlanChoice> choices, const SceneCounts& counts,
+                                      const AutoOptions& options, const Calibration& calibration) {
     std::vector<Candidate> out;
-    for (PlanChoice& choice : plan_choices(counts, options)) {
+    out.reserve(choices.size());
+    for (PlanChoice& choice : choices) {
         Candidate& c = out.emplace_back();
         c.predicted = estimate(choice, counts, options, calibration);
         c.choice = std::move(choice);
@@ -33,17 +34,70 @@ const StructureChoice& quickest() {
     return structure_choices().front();
 }
 
+/// What it takes to look at all candidates, seconds: about as long for few shapes as for many,
+/// since little of what this needs is in a cache.
+constexpr double look_s = 1.2e-4;
+
+/// Of few rays: what is chosen from a short list, because to look at more would take too long.
+const PlanChoice* quick_choice(const SceneCounts& counts, const AutoOptions& options,
+                               const Calibration& calibration) {
+    constexpr double least_shapes = 256;  // fewer may need no structure
+    const Objective& objective = options.objective;
+    if (objective.priority != Priority::total || objective.memory > 0 || options.max_error > 0 ||
+        counts.placed() < least_shapes)
+        return nullptr;
+    const PlanChoice* best = nullptr;
+    double least = look_s / options.share;
+    for (const PlanChoice& choice : quick_choices(counts.placements > 1))
+        if (const double s = estimate(choice, counts, options, calibration).total_s; s < least)
+            best = &choice, least = s;
+    return best;
+}
+
+/// Nanoseconds per ray of what was chosen, by what is counted on some of the rays; 0: there are
+/// none.
+double expected_ns(const Scene& scene, const Selection& selection, SceneCounts counts,
+                   const RaySample& sample, const Calibration& calibration) {
+    if (sample.rays.empty()) return 0;
+    const std::vector<Ray> some = some_of(sample.rays, 512);
+    counts.weight = test_weight(scene, counts.main_kind());
+    return counted_ns(*selection.assembly.root, selection.choice().choice.structure, counts,
+                      {some, sample.any, sample.mode}, calibration);
+}
+
+/// Builds what was chosen from the short list.
+Selection quick_selection(const Scene& scene, const PlanChoice& choice, const SceneCounts& counts,
+                          const AutoOptions& options, const RaySample& sample,
+                          const Calibration& calibration, Clock::time_point start) {
+    Selection out;
+    out.assembly = assemble(scene, plan_of(choice));
+    out.choose_s = seconds_since(start) - out.assembly.build_s;
+    // What follows only tells of the choice.
+    Outlook outlook(
+        candidates_for(quick_choices(counts.placements > 1), counts, options, calibration), options,
+        0);
+    out.chosen = outlook.best();
+    out.candidates = std::move(outlook).sorted(out.chosen);
+    out.reason = fmt::format(
+        "{}: of {} candidates that are built fast; to look at more would take more than {:.0f} % "
+        "of the total",
+        choice.name, out.candidates.size(), 100 * options.share);
+    out.expected_ns = expected_ns(scene, out, counts, sample, calibration);
+    return out;
+}
+
 /// The search of choose_assembly: builds and looks, as the outlook says.
 class Chooser {
   public:
     Chooser(const Scene& scene, const AutoOptions& options, const RaySample& sample,
-            const Calibration& calibration)
+            const Calibration& calibration, SceneCounts counts)
         : scene_(scene),
           options_(options),
           sample_(sample),
           calibration_(calibration),
-          counts_(count_shapes(scene)),
-          outlook_(candidates_for(counts_, options, calibration), options, sample.rays.size()) {}
+          counts_(std::move(counts)),
+          outlook_(candidates_for(plan_choices(counts_, options), counts_, options, calibration),
+                   options, sample.rays.size()) {}
 
     /// @param start  of all that choosing takes
     Selection run(Clock::time_point start) {
@@ -60,39 +114,56 @@ class Chooser {
     }
 
   private:
-    /// Scales every estimate to this scene by what a thinned one shows, if that is cheap enough.
+    /// Scales every estimate to this scene by what a thinned one shows, if that is cheap enough;
+    /// and those of nested structures by how a nested one compares there.
     void pilot() {
-        constexpr double shapes = 1024, per_shape_s = 12e-9;
-        constexpr size_t rays = 256;
-        const double all = counts_.kinds.empty() ? 0 : counts_.kinds.front().unique;
+        constexpr double shapes = 1024;
+        constexpr size_t rays = 256, compared = 1024;
+        const double all = counts_.unique();
         if (sample_.rays.empty() || all < 4 * shapes) return;
         const CostEstimate cheap = estimate(quickest(), shapes, counts_.kinds.front().name,
                                             options_.objective, calibration_);
         const double ns = outlook_[outlook_.best()].ns_per_ray;
-        const double cost = all * per_shape_s + cheap.build_s + 1e-9 * double(rays) * ns;
+        const double cost = thinning_s(all) + cheap.build_s + 1e-9 * double(rays) * ns;
         if (cost > 0.3 * outlook_.allowed()) return;
         outlook_.spend(cost);
-        const std::vector<Ray> some = some_of(sample_.rays, rays);
         const Pilot pilot(scene_, counts_, shapes);
-        const PlanChoice choice = plan_choice(quickest(), PlanChoice::Placing::flat);
-        const CostEstimate seen = pilot.estimate(
-            choice, plan_of(choice), {some, sample_.any, sample_.mode}, options_, calibration_);
-        const CostEstimate counted = estimate(choice, counts_, options_, calibration_);
-        outlook_.learn_from_pilot(seen.ns_per_ray / counted.ns_per_ray);
+        const auto seen_ns = [&](PlanChoice::Placing placing, size_t count) {
+            const PlanChoice choice = plan_choice(quickest(), placing);
+            const std::vector<Ray> some = some_of(sample_.rays, count);
+            return pilot
+                .estimate(choice, plan_of(choice), {some, sample_.any, sample_.mode}, options_,
+                          calibration_)
+                .ns_per_ray;
+        };
+        const PlanChoice flat = plan_choice(quickest(), PlanChoice::Placing::flat);
+        const double seen = seen_ns(flat.placing, rays);
+        outlook_.learn_from_pilot(seen /
+                                  estimate(flat, counts_, options_, calibration_).ns_per_ray);
+        const double both = 2 * (cheap.build_s + 1e-9 * double(compared) * seen);
+        if (counts_.placements <= 1 || both > 0.3 * outlook_.allowed()) return;
+        outlook_.spend(both);
+        const double one = seen_ns(flat.placing, compared);
+        outlook_.learn_placing(seen_ns(PlanChoice::Placing::nested, compared) / one);
     }
+
+    /// Nanoseconds for each shape of a scene that is thinned, and seconds for its nodes and for all
+    /// that is not in the caches then.
+    static double thinning_s(double shapes) { return 16e-9 * shapes + 1e-4; }
 
     /// What the outlook would build next, after this has been seen on a thinned scene if that is
     /// much cheaper: how much better a dear build is differs from scene to scene.
     size_t next_after_pilots() {
-        constexpr double most_of_build = 0.2, per_shape_s = 12e-9;
+        constexpr double most_of_build = 0.2;
         constexpr size_t rays = 2048;
         while (true) {
             const size_t next = outlook_.next(held_);
             if (next == outlook_.size() || outlook_.piloted(next)) return next;
-            const double all = counts_.kinds.front().unique, shapes = std::min(2048.0, all / 8),
+            const double all = counts_.unique(), shapes = std::min(2048.0, all / 8),
                          share = shapes / all;
             const CostEstimate &e = outlook_[next], &h = outlook_[held_];
-            const double cost = share * (e.build_s + h.build_s) + (all * per_shape_s) +
+            const double cost = share * (e.build_s + h.build_s) +
+                                (dear_pilot_ ? 0 : thinning_s(all)) +
                                 1e-9 * double(rays) * (e.ns_per_ray + h.ns_per_ray);
             if (shapes < 128 || cost > most_of_build * e.build_s || cost > outlook_.allowed())
                 return next;
@@ -155,12 +226,6 @@ class Chooser {
 
     void finish() {
         const PlanChoice& chosen = outlook_.candidates()[held_].choice;
-        if (!sample_.rays.empty()) {
-            const std::vector<Ray> some = some_of(sample_.rays, 512);
-            counts_.weight = test_weight(scene_, counts_.main_kind());
-            out_.expected_ns = counted_ns(*out_.assembly.root, chosen.structure, counts_,
-                                          {some, sample_.any, sample_.mode}, calibration_);
-        }
         const auto tried = std::count_if(outlook_.candidates().begin(), outlook_.candidates().end(),
                                          [](const Candidate& c) { return c.tried.has_value(); });
         out_.reason = fmt::format(
@@ -169,6 +234,7 @@ class Chooser {
             chosen.name, outlook_.size(), tried, 100 * options_.share);
         out_.chosen = held_;
         out_.candidates = std::move(outlook_).sorted(out_.chosen);
+        out_.expected_ns = expected_ns(scene_, out_, counts_, sample_, calibration_);
     }
 
     const Scene& scene_;
@@ -190,10 +256,16 @@ std::string estimate_text(const CostEstimate& e) {
 
 }  // namespace
 
-Selection choose_assembly(const Scene& scene, const AutoOptions& options, const RaySample& sample,
+Selection choose_assembly(const Scene& scene, const AutoOptions& given, const RaySample& sample,
                           const Calibration& calibration) {
     const auto start = Clock::now();
-    return Chooser(scene, options, sample, calibration).run(start);
+    AutoOptions options = given;
+    options.objective.coherence = coherence_of(sample.rays);
+    SceneCounts counts = count_shapes(scene);
+    if (const PlanChoice* quick = quick_choice(counts, options, calibration))
+        return quick_selection(scene, *quick, counts, options, sample, calibration, start);
+    if (counts.largest) counts.order = order_cost(scene.geometries[*counts.largest]);
+    return Chooser(scene, options, sample, calibration, std::move(counts)).run(start);
 }
 
 std::string explanation(const Selection& selection, const Objective& objective, size_t limit) {

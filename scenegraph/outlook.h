@@ -37,6 +37,9 @@ class Outlook {
 
     /// A thinned scene showed this factor on what counts say of ns per ray.
     void learn_from_pilot(double factor);
+    /// A thinned scene showed that rays take so many times as long where objects are nested as in
+    /// one structure for all.
+    void learn_placing(double ratio);
     /// A thinned scene showed that candidate i's rays take so many times as long as those of
     /// candidate `other`.
     void learn_from_pilots(size_t i, size_t other, double ratio);

@@ -24,12 +24,6 @@ double median(std::vector<double> values) {
     return values[values.size() / 2];
 }
 
-double placed_shapes(const SceneCounts& counts) {
-    double sum = 0;
-    for (const SceneCounts::Kind& kind : counts.kinds) sum += kind.placed;
-    return std::max(1.0, sum);
-}
-
 double traced_seconds(const Primitive& root, std::span<const Ray> rays, const RaySample& like) {
     std::vector<uint8_t> results(like.any ? rays.size() : 0);
     std::vector<Hit> hits(like.any ? 0 : rays.size());
@@ -57,6 +51,20 @@ std::vector<Ray> some_of(std::span<const Ray> rays, size_t count) {
     return out;
 }
 
+Coherence coherence_of(std::span<const Ray> rays) {
+    constexpr size_t pairs = 16;
+    constexpr double near = 0.98;  // cosine
+    if (rays.size() < 2) return Coherence::unknown;
+    size_t together = 0;
+    for (size_t i = 0; i < pairs; ++i) {
+        const size_t at = i * (rays.size() - 2) / (pairs - 1);
+        const Ray &a = rays[at], &b = rays[at + 1];
+        const double dot = a.direction.dot(b.direction);
+        together += a.origin == b.origin && dot > near * a.direction.norm() * b.direction.norm();
+    }
+    return together > pairs / 2 ? Coherence::together : Coherence::apart;
+}
+
 double counted_ns(const Primitive& root, const StructureChoice& structure,
                   const SceneCounts& counts, const RaySample& sample,
                   const Calibration& calibration) {
@@ -75,15 +83,14 @@ double counted_ns(const Primitive& root, const StructureChoice& structure,
 }
 
 Pilot::Pilot(const Scene& scene, const SceneCounts& counts, double shapes) : counts_(counts) {
-    double unique = 0;
-    for (const SceneCounts::Kind& kind : counts.kinds) unique += kind.unique;
-    thin_ = thinned(scene, std::max(1.0, unique / shapes));
+    thin_ = thinned(scene, std::max(1.0, counts.unique() / shapes));
     thin_counts_ = count_shapes(thin_);
+    thin_counts_.weight = counts.weight;
 }
 
 CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
                              const RaySample& sample, const AutoOptions& options,
-                             const Calibration& calibration, int builds) const {
+                             const Calibration& calibration, int builds, double* factor) const {
     const CostEstimate thin = crofton::estimate(choice, thin_counts_, options, calibration);
     CostEstimate full = crofton::estimate(choice, counts_, options, calibration);
     const StructureCosts* costs = costs_of(choice.structure, counts_.main_kind(), calibration);
@@ -95,10 +102,12 @@ CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
         assembly = assemble(thin_, plan);
         seconds.push_back(assembly.build_s);
     }
-    const double growth = placed_shapes(counts_) / placed_shapes(thin_counts_);
-    const double ns = options.clock ? observed_ns(*assembly.root, sample)
-                                    : counted_ns(*assembly.root, choice.structure, thin_counts_,
-                                                 sample, calibration);
+    const double growth = std::max(1.0, counts_.placed()) / std::max(1.0, thin_counts_.placed());
+    const auto counted = [&] {
+        return counted_ns(*assembly.root, choice.structure, thin_counts_, sample, calibration);
+    };
+    const double ns = options.clock ? observed_ns(*assembly.root, sample) : counted();
+    if (factor) *factor = ns / counted();
     full.ns_per_ray = ns * std::pow(growth, costs->thin_ray);
     if (options.clock && !is_lazy(choice.structure))
         full.build_s = median(std::move(seconds)) * std::pow(growth, costs->thin_build);

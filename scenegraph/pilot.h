@@ -16,6 +16,9 @@ struct RaySample {
     Mode mode = Mode::robust;
 };
 
+/// From a few neighbours among them. @param rays  in the order in which they are traced
+Coherence coherence_of(std::span<const Ray> rays);
+
 /// Before the scene's own structure is built: a thinned scene's is, and traces the sample; what was
 /// seen is carried over to the scene's counts by the calibration's growth. See thinned.
 /// @param shapes  about so many are left by thinning
@@ -24,9 +27,13 @@ class Pilot {
     Pilot(const Scene& scene, const SceneCounts& counts, double shapes);
     /// @param plan    that the choice stands for
     /// @param builds  so many are timed; 1 or more
+    /// @param factor  if not null: becomes what the thinned structure's rays took over what their
+    ///                counts say (see counted_ns); what neighbours among rays save, and what tests
+    ///                of this scene's shapes cost, is in it
     CostEstimate estimate(const PlanChoice& choice, const AssemblyPlan& plan,
                           const RaySample& sample, const AutoOptions& options,
-                          const Calibration& calibration, int builds = 1) const;
+                          const Calibration& calibration, int builds = 1,
+                          double* factor = nullptr) const;
 
   private:
     Scene thin_;

@@ -14,9 +14,7 @@ std::shared_ptr<AcceleratorChoice> choice_of(const StructureChoice& structure) {
     return choice;
 }
 
-/// Rays meet several objects where boxes overlap, and a call and a transform each: what nesting
-/// and opening cost a ray over one structure for all, in scenes with several placements.
-constexpr double nested_factor = 1.25, opened_factor = 1.12, object_bytes = 400;
+constexpr double object_bytes = 400;
 
 /// Of one structure over all shapes, whose kinds are in sets of their own.
 CostEstimate flat_estimate(const StructureChoice& structure, const SceneCounts& counts,
@@ -56,12 +54,14 @@ StructureChoice structure_of(const AcceleratorChoice& accelerator) {
 
 /// Counts of shapes do not say how good their order is; a sample does: of the largest mesh,
 /// which stands for all.
-void use_order(CostEstimate& e, const OrderCost& order, const StructureCosts& costs,
+void use_order(CostEstimate& e, const SceneCounts& counts, const StructureCosts& costs,
                const Calibration& calibration) {
-    if (!order.known || costs.order_scale <= 0) return;
+    if (!counts.order.known || costs.order_scale <= 0) return;
     const double counted =
-        costs.counted_ns(order.nodes, order.tests, e.bytes, calibration.cache_bytes);
-    e.ns_per_ray = costs.order_scale * std::pow(counted, costs.order_power);
+        costs.counted_ns(counts.order.nodes, counts.order.tests, e.bytes, calibration.cache_bytes);
+    // What the growth has for any order.
+    const double mean = costs.at(counts.kinds.front().placed).ray_ns;
+    e.ns_per_ray *= costs.order_scale * std::pow(counted, costs.order_power) / mean;
 }
 
 }  // namespace
@@ -88,8 +88,7 @@ std::vector<PlanChoice> plan_choices(const SceneCounts& counts, const AutoOption
     static const std::vector<std::string> opened_names = {"wide_bvh", "wide_bvh/reinsertion",
                                                           "wide_bvh/sbvh"};
     std::vector<PlanChoice> out;
-    double placed = 0;
-    for (const SceneCounts::Kind& kind : counts.kinds) placed += kind.placed;
+    const double placed = counts.placed();
     // What rays build later cannot be looked at before: it might not fit.
     const bool lazy_allowed = placed >= least_for_lazy && options.objective.memory <= 0;
     for (const StructureChoice& s : structure_choices()) {
@@ -116,6 +115,22 @@ std::vector<PlanChoice> plan_choices(const SceneCounts& counts, const AutoOption
     return out;
 }
 
+const std::vector<PlanChoice>& quick_choices(bool several) {
+    using Placing = PlanChoice::Placing;
+    static const auto made = [](bool nested) {
+        std::vector<PlanChoice> out;
+        for (const StructureChoice& s : structure_choices()) {
+            if (s.name != "model_hierarchy" && s.name != "bvh/lbvh" && s.name != "wide_bvh/lbvh")
+                continue;
+            out.push_back(plan_choice(s, Placing::flat));
+            if (nested) out.push_back(plan_choice(s, Placing::nested));
+        }
+        return out;
+    };
+    static const std::vector<PlanChoice> lists[2] = {made(false), made(true)};
+    return lists[several];
+}
+
 CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
                       const AutoOptions& options, const Calibration& calibration) {
     CostEstimate e;
@@ -125,7 +140,7 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
     if (!std::isfinite(e.total_s)) return e;
     if (uses_order(choice.structure))
         if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration))
-            use_order(e, counts.order, *costs, calibration);
+            use_order(e, counts, *costs, calibration);
     if (choice.placing != PlanChoice::Placing::flat) {
         const bool opened = choice.placing == PlanChoice::Placing::opened;
         const CostEstimate nested = nested_estimate(
@@ -133,7 +148,7 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
         e.build_s = nested.build_s;
         e.bytes = nested.bytes;
         e.ns_per_ray *= opened ? opened_factor : nested_factor;
-        e.ray_spread = std::hypot(e.ray_spread, opened ? 0.12 : 0.2);
+        e.ray_spread = std::hypot(e.ray_spread, placing_spread);
     }
     set_total(e, options.objective);
     return e;

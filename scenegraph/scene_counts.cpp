@@ -23,10 +23,11 @@ const char* kind_of_shapes(const Geometry& geometry) {
     return names[geometry.shapes.index()];
 }
 
-/// Meshes within a factor of four of each other count as equal ones.
+/// Meshes of similar size count as equal ones.
 void add_mesh(SceneCounts& counts, double shapes) {
+    constexpr double similar = 4;
     for (auto& [size, meshes] : counts.meshes)
-        if (shapes < 2 * size && size < 2 * shapes) {
+        if (shapes < similar * size && size < similar * shapes) {
             size += (shapes - size) / (meshes + 1);
             meshes += 1;
             return;
@@ -119,6 +120,12 @@ struct ShapeView {
     }
 };
 
+/// Sizes of a sample: at most so many leaves and runs, shapes of a run, and shapes of the whole.
+struct SampleSizes {
+    size_t leaves, runs, of_run, of_whole;
+};
+constexpr SampleSizes glance{16, 4, 4, 32}, look{256, 16, 8, 256};
+
 /// Box of so many shapes spread evenly over a run.
 Bounds3 run_bounds(const ShapeView& shapes, size_t first, size_t count, size_t spread) {
     Bounds3 box;
@@ -131,20 +138,21 @@ Bounds3 run_bounds(const ShapeView& shapes, size_t first, size_t count, size_t s
 
 /// Expected number of boxes around runs of so many shapes that a line through all of them meets,
 /// from `samples` runs spread evenly.
-/// @param whole  half area of the box of all shapes
-double visits_of_runs(const ShapeView& shapes, size_t count, size_t samples, double whole) {
-    constexpr size_t most_shapes = 8;
+/// @param of_run  shapes at most that are looked at of a run
+/// @param whole   half area of the box of all shapes
+double visits_of_runs(const ShapeView& shapes, size_t count, size_t samples, size_t of_run,
+                      double whole) {
     // A sample stands for so many runs. One that is large is rather a rare one than typical of all
-    // these, and counts as no more than a few visits.
-    constexpr double most_visits = 2;
+    // these, and counts as no more than a few visits; of few samples as more, so that a bad order
+    // shows.
+    const double most_visits = 32 / std::sqrt(double(samples));
     const double stands_for = double(shapes.size()) / double(count * samples);
     double visits = 0;
     for (size_t r = 0; r < samples; ++r) {
         // In the middle of its part: files begin and end with what is not like the rest.
         const size_t place = (2 * r + 1) * shapes.size() / (2 * samples);
         const size_t first = std::min(place, shapes.size() - count);
-        const double area =
-            half_area(run_bounds(shapes, first, count, std::min(count, most_shapes)));
+        const double area = half_area(run_bounds(shapes, first, count, std::min(count, of_run)));
         visits += std::min(stands_for * area / whole, most_visits);
     }
     return visits;
@@ -157,11 +165,22 @@ const std::string& SceneCounts::main_kind() const {
     return kinds.empty() ? none : kinds.front().name;
 }
 
+double SceneCounts::unique() const {
+    double sum = 0;
+    for (const Kind& kind : kinds) sum += kind.unique;
+    return sum;
+}
+
+double SceneCounts::placed() const {
+    double sum = 0;
+    for (const Kind& kind : kinds) sum += kind.placed;
+    return sum;
+}
+
 SceneCounts count_shapes(const Scene& scene) {
     SceneCounts counts;
     for (const char* name : {"triangles", "quadrics", "polygons"}) counts.kinds.push_back({name});
     const std::vector<double> placements = placements_of_meshes(scene);
-    const Geometry* largest = nullptr;
     double most = 0;
     for (size_t m = 0; m < scene.meshes.size(); ++m) {
         if (placements[m] == 0) continue;
@@ -173,7 +192,7 @@ SceneCounts count_shapes(const Scene& scene) {
                 if (kind.name == kind_of_shapes(geometry))
                     kind.unique += n, kind.placed += n * placements[m];
             shapes += n;
-            if (n * placements[m] > most) most = n * placements[m], largest = &geometry;
+            if (n * placements[m] > most) most = n * placements[m], counts.largest = g;
         }
         add_mesh(counts, shapes);
         counts.placements += placements[m];
@@ -181,24 +200,26 @@ SceneCounts count_shapes(const Scene& scene) {
     std::erase_if(counts.kinds, [](const SceneCounts::Kind& k) { return k.unique == 0; });
     std::stable_sort(counts.kinds.begin(), counts.kinds.end(),
                      [](const auto& a, const auto& b) { return a.placed > b.placed; });
-    if (largest) counts.order = order_cost(*largest);
+    if (counts.largest)
+        counts.order = order_cost(scene.geometries[*counts.largest], OrderSample::glance);
     return counts;
 }
 
-OrderCost order_cost(const Geometry& geometry) {
+OrderCost order_cost(const Geometry& geometry, OrderSample sample) {
     constexpr size_t leaf = 4, width = 8, least = 64;
+    const SampleSizes& most = sample == OrderSample::glance ? glance : look;
     const ShapeView shapes{geometry};
     const size_t n = shapes.size();
     if (n < least) return {};
     // Of leaves many, since a few large ones among small ones weigh most.
-    const size_t leaves = std::clamp<size_t>(n / 64, 8, 256),
-                 runs = std::clamp<size_t>(n / 512, 4, 16);
-    const double whole = half_area(run_bounds(shapes, 0, n, std::min<size_t>(n, 256)));
+    const size_t leaves = std::clamp<size_t>(n / 64, 8, most.leaves),
+                 runs = std::clamp<size_t>(n / 512, 4, most.runs);
+    const double whole = half_area(run_bounds(shapes, 0, n, std::min(n, most.of_whole)));
     if (!(whole > 0)) return {};
-    const double leaf_visits = visits_of_runs(shapes, leaf, leaves, whole);
+    const double leaf_visits = visits_of_runs(shapes, leaf, leaves, leaf, whole);
     OrderCost cost{1 + leaf_visits, leaf * leaf_visits, true};
     for (size_t count = leaf * width; count < n; count *= width)
-        cost.nodes += std::max(1.0, visits_of_runs(shapes, count, runs, whole));
+        cost.nodes += std::max(1.0, visits_of_runs(shapes, count, runs, most.of_run, whole));
     return std::isfinite(cost.nodes) ? cost : OrderCost{};
 }
 

@@ -81,9 +81,9 @@ TEST_CASE("calibration: what is written is read back, to the bits") {
 }
 
 TEST_CASE("calibration: a damaged or foreign file is refused with its place") {
-    for (const char* text : {"", "version = 2\n", "version = 1\nwhat = 3\n",
-                             "version = 1\n[[structure]]\nstructure = \"bvh\"\n",
-                             "version = 1\n[constant]\nvirtual_call = [1.0]\n", "version = ["}) {
+    for (const char* text : {"", "version = 1\n", "version = 2\nwhat = 3\n",
+                             "version = 2\n[[structure]]\nstructure = \"bvh\"\n",
+                             "version = 2\n[constant]\nvirtual_call = [1.0]\n", "version = ["}) {
         const ScratchFile file("calibration.toml", text);
         INFO(text);
         CHECK_THROWS_AS(read_calibration(file.path()), InputError);
