@@ -111,6 +111,27 @@ struct Run {
     uint32_t size() const { return end - begin; }
 };
 
+/// The children of a node.
+class Runs {
+  public:
+    size_t size() const { return size_; }
+    Run& operator[](size_t i) { return runs_[i]; }
+    const Run& operator[](size_t i) const { return runs_[i]; }
+    Run* begin() { return runs_; }
+    Run* end() { return runs_ + size_; }
+    void push_back(const Run& run) { runs_[size_++] = run; }
+    /// Puts several in place of one. @pre  no more than eight then
+    void replace(size_t at, const Run* by, size_t count) {
+        std::copy_backward(runs_ + at + 1, runs_ + size_, runs_ + size_ + count - 1);
+        std::copy(by, by + count, runs_ + at);
+        size_ += count - 1;
+    }
+
+  private:
+    Run runs_[8];
+    size_t size_ = 0;
+};
+
 /// The groups of a set over its active shapes in their order; empty groups are gone.
 class ModelGroups {
   public:
@@ -129,6 +150,8 @@ class ModelGroups {
         link();
         measure();
     }
+
+    uint32_t leaf_size() const { return leaf_size_; }
 
     /// Appends the members of a group, or of the whole set for `none`: groups in it, and the shapes
     /// between them in leaves. Ignores groups inside if `flat`.
@@ -178,6 +201,7 @@ class ModelGroups {
         }
     }
     void leaves(uint32_t first, uint32_t end, std::vector<Member>& out) const {
+        if (out.empty()) out.reserve((end - first) / leaf_size_ + 1);
         for (; first < end; first += std::min(leaf_size_, end - first)) {
             Member leaf{{}, first, std::min(first + leaf_size_, end), none, 0};
             for (uint32_t i = first; i < leaf.end; ++i) {
@@ -213,16 +237,20 @@ class ModelWriter {
             Run run;
             uint32_t to, depth;
         };
+        // About six of a node's eight places are taken.
+        tree_.nodes.reserve(shapes_.size() / groups_.leaf_size() / 5 + 1);
+        tree_.leaves.reserve(shapes_.size());
         tree_.nodes.emplace_back();
         std::vector<Open> open{{expand(none, 0), 0, 0}};
+        tree_.box = open.back().run.bounds;
         while (!open.empty()) {
             const Open o = open.back();
             open.pop_back();
             ++tree_.stats.N_IN;
-            std::vector<Run> children = cut(o.run, o.depth);
+            Runs children = cut(o.run, o.depth);
             if (merge_) merge(children, o.depth);
             ModelNode node;
-            for (int i = 0; i < 8; ++i) set_child(node, i, Bounds3(), 0, 0);
+            for (int i = int(children.size()); i < 8; ++i) set_child(node, i, Bounds3(), 0, 0);
             for (int i = 0; i < int(children.size()); ++i) {
                 const Run& c = children[i];
                 if (is_leaf(c)) {
@@ -261,10 +289,11 @@ class ModelWriter {
 
     /// At most eight runs in the order; a group that is alone in its run is expanded.
     /// @param depth  of the node that gets them
-    std::vector<Run> cut(const Run& whole, uint32_t depth) {
-        std::vector<Run> runs;
+    Runs cut(const Run& whole, uint32_t depth) {
+        Runs runs;
         if (whole.size() <= 8) {
-            for (uint32_t i = whole.begin; i < whole.end; ++i) runs.push_back(run(i, i + 1));
+            for (uint32_t i = whole.begin; i < whole.end; ++i)
+                runs.push_back({i, i + 1, members_[i].bounds});
         } else {
             runs.push_back(whole);
             while (runs.size() < 8) cut_largest(runs, depth);
@@ -275,7 +304,7 @@ class ModelWriter {
     }
 
     /// Cuts one run in two: by area the one that costs most, else the longest in equal halves.
-    void cut_largest(std::vector<Run>& runs, uint32_t depth) const {
+    void cut_largest(Runs& runs, uint32_t depth) const {
         const bool by_area = by_area_ && depth < ModelHierarchy<Set>::group_levels;
         size_t best = runs.size();
         double most = -1;
@@ -288,41 +317,69 @@ class ModelWriter {
             }
         }
         const Run old = runs[best];
-        const uint32_t at = by_area ? place_by_area(old) : old.begin + old.size() / 2;
-        runs[best] = run(old.begin, at);
-        runs.insert(runs.begin() + long(best) + 1, run(at, old.end));
+        Run halves[2];
+        if (by_area) {
+            cut_by_area(old, halves);
+        } else {
+            const uint32_t middle = old.begin + old.size() / 2;
+            halves[0] = run(old.begin, middle), halves[1] = run(middle, old.end);
+        }
+        runs.replace(best, halves, 2);
     }
 
-    /// Where to cut a run so that the area heuristic is least; the middle one of equal places.
-    uint32_t place_by_area(const Run& r) const {
-        const uint32_t n = r.size();
-        std::vector<double> right(n);
-        Bounds3 box;
+    /// What lies on one side of a cut.
+    struct Side {
+        Bounds3 bounds;
         double cost = 0;
-        for (uint32_t i = n - 1; i > 0; --i) {
-            box.extend(members_[r.begin + i].bounds);
-            cost += members_[r.begin + i].cost;
-            right[i] = half_area(box) * cost;
+        void extend(const Side& s) {
+            bounds.extend(s.bounds);
+            cost += s.cost;
         }
-        uint32_t best = n / 2;
-        double least = std::numeric_limits<double>::infinity();
-        box = {};
-        cost = 0;
-        for (uint32_t i = 1; i < n; ++i) {
-            box.extend(members_[r.begin + i - 1].bounds);
-            cost += members_[r.begin + i - 1].cost;
-            const double sum = half_area(box) * cost + right[i];
-            const auto off = [n](uint32_t k) { return k > n / 2 ? k - n / 2 : n / 2 - k; };
-            if (sum < least || (sum == least && off(i) < off(best))) {
-                least = sum;
-                best = i;
+        double weight() const { return half_area(bounds) * cost; }
+    };
+    Side side(uint32_t begin, uint32_t end) const {
+        Side s;
+        for (uint32_t i = begin; i < end; ++i) s.extend({members_[i].bounds, members_[i].cost});
+        return s;
+    }
+
+    /// Cuts a run so that the area heuristic is least: in one of a few places spread evenly, then
+    /// in one around that, until each member's place has been looked at there.
+    void cut_by_area(const Run& r, Run* halves) const {
+        Side left, right;  // of what is looked at
+        uint32_t begin = r.begin, end = r.end;
+        while (true) {
+            constexpr uint32_t most = 16;
+            const uint32_t n = end - begin, pieces = std::min(n, most);
+            const auto place = [&](uint32_t k) {
+                return begin + uint32_t(uint64_t(n) * k / pieces);
+            };
+            Side piece[most], lefts[most + 1], rights[most + 1];
+            for (uint32_t k = 0; k < pieces; ++k) piece[k] = side(place(k), place(k + 1));
+            lefts[0] = left, rights[pieces] = right;
+            for (uint32_t k = 0; k < pieces; ++k)
+                lefts[k + 1] = lefts[k], lefts[k + 1].extend(piece[k]);
+            for (uint32_t k = pieces; k-- > 0;)
+                rights[k] = rights[k + 1], rights[k].extend(piece[k]);
+            // The middle one of equal places, or where boxes are too large for a number.
+            uint32_t best = pieces / 2;
+            double least = lefts[best].weight() + rights[best].weight();
+            for (uint32_t k = 1; k < pieces; ++k)
+                if (const double sum = lefts[k].weight() + rights[k].weight(); sum < least)
+                    least = sum, best = k;
+            if (n <= most) {
+                halves[0] = {r.begin, place(best), lefts[best].bounds};
+                halves[1] = {place(best), r.end, rights[best].bounds};
+                return;
             }
+            left = lefts[best - 1], right = rights[best + 1];
+            const uint32_t from = place(best - 1);
+            end = place(best + 1), begin = from;
         }
-        return r.begin + best;
     }
 
     /// Puts members into free places instead of their group, the largest box that fits first.
-    void merge(std::vector<Run>& children, uint32_t depth) {
+    void merge(Runs& children, uint32_t depth) {
         while (true) {
             size_t best = children.size();
             double most = -1;
@@ -333,9 +390,8 @@ class ModelWriter {
                     most = half_area(children[i].bounds);
                 }
             if (best == children.size()) return;
-            const std::vector<Run> inner = cut(children[best], depth);
-            children.erase(children.begin() + long(best));
-            children.insert(children.begin() + long(best), inner.begin(), inner.end());
+            Runs inner = cut(children[best], depth);
+            children.replace(best, inner.begin(), inner.size());
         }
     }
 
@@ -373,9 +429,9 @@ ModelHierarchy<Set> ModelHierarchy<Set>::build(const Set& set, const ModelHierar
     ModelHierarchy tree;
     const BuildReferences shapes = build_references(set);
     if (shapes.empty()) return tree;
-    for (const BuildReference& r : shapes) tree.box.extend(r.bounds);
     ModelWriter<Set>(tree, set, p, shapes).write();
-    tree.nodes.shrink_to_fit();
+    if (tree.nodes.capacity() > tree.nodes.size() + tree.nodes.size() / 4)
+        tree.nodes.shrink_to_fit();
     tree.cost = expected_cost_from(tree, set, {}, tree.box);
     tree.stats.bytes = tree.nodes.size() * sizeof(ModelNode) + tree.leaves.bytes();
     return tree;

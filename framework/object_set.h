@@ -53,6 +53,7 @@ class ReferenceLeaves {
         references_.insert(references_.end(), shapes.begin(), shapes.end());
         return uint32_t(references_.size() - shapes.size());
     }
+    void reserve(size_t references) { references_.reserve(references); }
     /// Makes room; `put` fills it, in any order.
     void resize(size_t references) { references_.resize(references); }
     void put(std::span<const uint32_t> shapes, uint32_t first) {

@@ -133,13 +133,19 @@ uint32_t TriangleLeaves::add(const TriangleSet& set, std::span<const uint32_t> s
     const uint32_t first = uint32_t(blocks_.size());
     for (size_t i = 0; i < shapes.size(); i += width) {
         TriangleBlock<width>& block = blocks_.emplace_back();
-        for (int lane = 0; lane < width; ++lane) {
-            const bool used = i + lane < shapes.size();
-            block.id[lane] = used ? shapes[i + lane] : no_id;
+        const size_t used = std::min<size_t>(width, shapes.size() - i);
+        for (size_t lane = 0; lane < used; ++lane) {
+            block.id[lane] = shapes[i + lane];
+            for (int k = 0; k < 3; ++k) {
+                const Vec3f p = set.vertex(shapes[i + lane], k);
+                for (int a = 0; a < 3; ++a) block.v[k][a][lane] = p[a];
+            }
+        }
+        for (size_t lane = used; lane < width; ++lane) {
+            block.id[lane] = no_id;
             for (int k = 0; k < 3; ++k)
                 for (int a = 0; a < 3; ++a)
-                    block.v[k][a][lane] = used ? set.vertex(shapes[i + lane], k)[a]
-                                               : std::numeric_limits<float>::quiet_NaN();
+                    block.v[k][a][lane] = std::numeric_limits<float>::quiet_NaN();
         }
     }
     return first;

@@ -87,6 +87,8 @@ class TriangleLeaves {
   public:
     static constexpr int width = 4;
 
+    /// Room for about so many triangles, in leaves that are mostly full.
+    void reserve(size_t triangles) { blocks_.reserve(triangles / width + triangles / 64 + 1); }
     /// Appends a leaf. @return its first block
     uint32_t add(const TriangleSet& set, std::span<const uint32_t> shapes);
     template <class A>

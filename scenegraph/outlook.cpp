@@ -66,6 +66,7 @@ void Outlook::learn_placing(double ratio) {
     if (!std::isfinite(ratio) || ratio <= 0) return;
     // Of a few shapes an object's cost is more than of many; seen over fourteen models.
     constexpr double power = 0.75, spread = 0.15;
+    placing_spread_ = spread;
     const double factor = std::pow(ratio, power) / nested_factor;
     for (size_t i = 0; i < size(); ++i) {
         if (candidates_[i].choice.placing == PlanChoice::Placing::flat) continue;
@@ -129,10 +130,16 @@ size_t Outlook::first() const {
 
 /// Of ln(ns per ray of candidate i over that of what is held).
 double Outlook::deviation(size_t i, size_t held) const {
-    const StructureChoice &a = candidates_[i].choice.structure,
-                          &b = candidates_[held].choice.structure;
-    const double least = piloted_[i] ? piloted_spread : a.type == b.type ? 0.07 : 0.15;
-    return std::hypot(std::max(least, now_[i].ray_spread), now_[held].ray_spread);
+    const PlanChoice &a = candidates_[i].choice, &b = candidates_[held].choice;
+    const double least = piloted_[i]                            ? piloted_spread
+                         : a.structure.type == b.structure.type ? 0.07
+                                                                : 0.15;
+    const double own = std::max(least, now_[i].ray_spread);
+    // How nesting compares is in the spread of what is nested, and unknown likewise of what is
+    // flat, once something nested has been tried.
+    const double nesting =
+        a.placing == PlanChoice::Placing::flat && b.placing != a.placing ? placing_spread_ : 0;
+    return std::hypot(own, now_[held].ray_spread, nesting);
 }
 
 /// Expected seconds saved by building candidate i, too, less what that costs.

@@ -74,7 +74,8 @@ class Outlook {
     std::vector<bool> piloted_;  ///< beside another one
     size_t sample_size_;
     double scene_variance_ = 0.4;  ///< of ln(ns per ray), common to all structures
-    double spent_ = 0;             ///< seconds of choosing so far, as estimated
+    double placing_spread_ = placing_spread;
+    double spent_ = 0;  ///< seconds of choosing so far, as estimated
 };
 
 }  // namespace crofton
