@@ -32,6 +32,8 @@ std::vector<double> ranks(std::span<const double> values) {
 
 using Cell = std::tuple<std::string, std::string, double>;  ///< scene, workload, budget
 
+Cell cell_of(const Row& row) { return {row.scene, row.workload, row.budget->rays}; }
+
 struct Regrets {
     std::map<double, std::vector<double>> by_budget;
     std::vector<double> all;
@@ -98,21 +100,28 @@ double rank_correlation(std::span<const double> a, std::span<const double> b) {
     return xx > 0 && yy > 0 ? xy / std::sqrt(xx * yy) : 0;
 }
 
-std::string budget_text(std::span<const Row> rows) {
-    if (rows.empty()) return "";
+std::vector<RowRegret> regrets_of(std::span<const Row> rows) {
     std::map<Cell, double> best;
-    const auto cell = [](const Row& r) { return Cell{r.scene, r.workload, r.budget->rays}; };
     for (const Row& row : rows) {
         if (row.chosen) continue;
-        const auto [it, fresh] = best.try_emplace(cell(row), row.budget->total_s);
+        const auto [it, fresh] = best.try_emplace(cell_of(row), row.budget->total_s);
         if (!fresh) it->second = std::min(it->second, row.budget->total_s);
     }
+    std::vector<RowRegret> out;
+    for (const Row& row : rows)
+        if (const auto found = best.find(cell_of(row)); found != best.end())
+            out.push_back({&row, row.budget->total_s / found->second});
+    return out;
+}
+
+std::string budget_text(std::span<const Row> rows) {
+    if (rows.empty()) return "";
     std::map<std::string, Regrets> regrets;
-    for (const Row& row : rows) {
-        const auto found = best.find(cell(row));
-        if (found == best.end()) continue;
+    std::set<Cell> cells;
+    for (const auto& [at, regret] : regrets_of(rows)) {
+        const Row& row = *at;
+        cells.insert(cell_of(row));
         Regrets& r = regrets[row.variant];
-        const double regret = row.budget->total_s / found->second;
         r.by_budget[row.budget->rays].push_back(regret);
         r.all.push_back(regret);
         r.most_choosing = std::max(r.most_choosing, row.budget->choose_s / row.budget->total_s);
@@ -154,7 +163,7 @@ std::string budget_text(std::span<const Row> rows) {
             100 * (1 - geometric_mean(regrets[name].all) / geometric_mean(regrets[*fixed].all)),
             *fixed, 100 * regrets[name].most_choosing);
     }
-    return text + fmt::format("  over {} cells: scenes x workloads x budgets\n", best.size());
+    return text + fmt::format("  over {} cells: scenes x workloads x budgets\n", cells.size());
 }
 
 std::string prediction_text(std::span<const Row> rows) {

@@ -43,6 +43,15 @@ class TotalTime {
     std::vector<double> builds_, warm_;
 };
 
+/// A row's total time over the least total of any variant that does not choose, for the same scene,
+/// workload and budget.
+struct RowRegret {
+    const Row* row;
+    double regret;
+};
+/// Of all rows that there is such a variant for. @param rows  with budgets; they must outlive these
+std::vector<RowRegret> regrets_of(std::span<const Row> rows);
+
 /// For people: regret of every variant (its total over the least total of any that does not choose,
 /// for the same scene, workload and budget), by budget and over all.
 std::string budget_text(std::span<const Row> rows);

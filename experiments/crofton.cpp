@@ -10,6 +10,7 @@
 #include "experiments/calibrate.h"
 #include "experiments/camera.h"
 #include "experiments/catalog.h"
+#include "experiments/choice_plot.h"
 #include "experiments/experiment.h"
 #include "experiments/export.h"
 #include "experiments/image.h"
@@ -96,6 +97,18 @@ std::map<std::string, std::string> inputs_of(const ExperimentFile& file) {
     return inputs;
 }
 
+/// Plots over all experiments of a run, where there is something to be shown.
+void draw_choices(const Results& results, RunOutput& output) {
+    const auto save = [&](const std::string& file, const Image& image) {
+        write_png(results.path(file), image);
+        output.pictures.push_back(file);
+    };
+    if (!output.budget_rows.empty()) save("regret.png", regret_plot(output.budget_rows));
+    if (std::any_of(output.rows.begin(), output.rows.end(),
+                    [](const Row& row) { return row.predicted.has_value(); }))
+        save("prediction.png", prediction_plot(output.rows));
+}
+
 int run(const RunArguments& arguments) {
     const ExperimentFile file = load_experiments(arguments.config, arguments.settings);
     Results results(arguments.out, file.stem);
@@ -110,6 +123,7 @@ int run(const RunArguments& arguments) {
     for (const Experiment& experiment : file.experiments)
         run_experiment(experiment, arguments.hits, results, progress, output);
     progress.clear();
+    draw_choices(results, output);
     const std::string text = report_text(output, results.folder(), false);
     results.write_text("report.txt", text);
     fmt::print("{}", color_on_stdout() ? report_text(output, results.folder(), true) : text);

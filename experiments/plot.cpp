@@ -5,13 +5,18 @@
 #include <algorithm>
 #include <cmath>
 
+#include "experiments/chart.h"
+
 namespace crofton {
 namespace {
 
-using Point = Eigen::Vector2d;
-
 constexpr int panel_width = 420, panel_height = 300, left = 62, top = 34, line_height = 14;
-const Vec3d white(1, 1, 1), grey(0.35, 0.35, 0.4), background(0.13, 0.13, 0.15);
+using chart::Axis;
+using chart::dot;
+using chart::grey;
+using chart::line;
+using chart::Point;
+using chart::white;
 
 Vec3d mode_color(const std::string& mode) {
     if (mode == "fast") return {0.95, 0.55, 0.2};
@@ -22,41 +27,6 @@ Vec3d mode_color(const std::string& mode) {
 
 /// A peer's modes are not ours.
 Vec3d color_of(const Row& row) { return row.peer ? Vec3d(0.95, 0.9, 0.4) : mode_color(row.mode); }
-
-void line(Image& image, Point a, Point b, const Vec3d& color) {
-    const int n = int(std::max(std::abs(b.x() - a.x()), std::abs(b.y() - a.y()))) + 1;
-    for (int i = 0; i <= n; ++i) {
-        const Point p = a + (b - a) * (double(i) / n);
-        image.set(int(std::lround(p.x())), int(std::lround(p.y())), color);
-    }
-}
-
-void dot(Image& image, Point p, const Vec3d& color) {
-    for (int y = -3; y <= 3; ++y)
-        for (int x = -3; x <= 3; ++x)
-            if (x * x + y * y <= 10) image.set(int(p.x()) + x, int(p.y()) + y, color);
-}
-
-/// A logarithmic axis over powers of ten; values of 0 stand apart at its beginning.
-struct Axis {
-    double low = 0, high = 1;  ///< exponents
-    bool zero = false;
-
-    Axis(const std::vector<double>& values, bool with_zero) : zero(with_zero) {
-        double least = INFINITY, most = 0;
-        for (const double v : values)
-            if (v > 0) least = std::min(least, v), most = std::max(most, v);
-        if (most == 0) least = most = 1;
-        low = std::floor(std::log10(least));
-        high = std::max(low + 1, std::ceil(std::log10(most)));
-    }
-    /// From 0 to 1.
-    double at(double value) const {
-        const double begin = zero ? 0.12 : 0;
-        if (!(value > 0)) return 0.03;
-        return begin + (1 - begin) * (std::log10(value) - low) / (high - low);
-    }
-};
 
 double metric(const Row& row, bool misses) {
     if (!misses) return row.oracle.t_ulp.quantile(0.999);
@@ -160,10 +130,8 @@ Image error_plot(std::span<const Row> rows) {
     }
     const int columns_of_text = std::max(1, int(columns.size()) * 2);
     const int lines = (int(variants.size()) + columns_of_text - 1) / columns_of_text;
-    Image image(std::max(1, int(columns.size())) * panel_width,
-                2 * panel_height + lines * line_height + 16);
-    for (int y = 0; y < image.height; ++y)
-        for (int x = 0; x < image.width; ++x) image.set(x, y, background);
+    Image image = chart::blank(std::max(1, int(columns.size())) * panel_width,
+                               2 * panel_height + lines * line_height + 16);
     for (size_t c = 0; c < columns.size(); ++c)
         for (const bool misses : {true, false})
             draw_panel(image, int(c) * panel_width, misses ? 0 : panel_height, columns[c], misses);

@@ -128,8 +128,7 @@ class Chooser {
         if (cost > 0.3 * outlook_.allowed()) return;
         outlook_.spend(cost);
         const Pilot pilot(scene_, counts_, shapes);
-        const auto seen_ns = [&](PlanChoice::Placing placing, size_t count) {
-            const PlanChoice choice = plan_choice(quickest(), placing);
+        const auto seen_ns = [&](const PlanChoice& choice, size_t count) {
             const std::vector<Ray> some = some_of(sample_.rays, count);
             return pilot
                 .estimate(choice, plan_of(choice), {some, sample_.any, sample_.mode}, options_,
@@ -137,14 +136,30 @@ class Chooser {
                 .ns_per_ray;
         };
         const PlanChoice flat = plan_choice(quickest(), PlanChoice::Placing::flat);
-        const double seen = seen_ns(flat.placing, rays);
+        const double seen = seen_ns(flat, rays);
         outlook_.learn_from_pilot(seen /
                                   estimate(flat, counts_, options_, calibration_).ns_per_ray);
+        const size_t best = outlook_.best();
+        if (uses_order(outlook_.candidates()[best].choice.structure)) {
+            // What a sample says of the order is not enough to build by.
+            outlook_.spend(cheap.build_s + 1e-9 * double(rays) * seen);
+            const double ratio = seen_ns(outlook_.candidates()[best].choice, rays) / seen;
+            outlook_.learn_from_pilots(best, index_of(flat), ratio);
+        }
+        const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
         const double both = 2 * (cheap.build_s + 1e-9 * double(compared) * seen);
         if (counts_.placements <= 1 || both > 0.3 * outlook_.allowed()) return;
         outlook_.spend(both);
-        const double one = seen_ns(flat.placing, compared);
-        outlook_.learn_placing(seen_ns(PlanChoice::Placing::nested, compared) / one);
+        const double one = seen_ns(flat, compared);
+        outlook_.learn_placing(seen_ns(nested, compared) / one);
+    }
+
+    size_t index_of(const PlanChoice& choice) const {
+        const std::vector<Candidate>& all = outlook_.candidates();
+        return size_t(
+            std::find_if(all.begin(), all.end(),
+                         [&](const Candidate& c) { return c.choice.name == choice.name; }) -
+            all.begin());
     }
 
     /// Nanoseconds for each shape of a scene that is thinned, and seconds for its nodes and for all
