@@ -141,10 +141,12 @@ class Chooser {
                                   estimate(flat, counts_, options_, calibration_).ns_per_ray);
         const size_t best = outlook_.best();
         if (uses_order(outlook_.candidates()[best].choice.structure)) {
-            // What a sample says of the order is not enough to build by.
+            // What a sample says of the order is not enough to build by, and no order that was seen
+            // is as good as a tree that is built.
+            constexpr double least = 1.2;
             outlook_.spend(cheap.build_s + 1e-9 * double(rays) * seen);
             const double ratio = seen_ns(outlook_.candidates()[best].choice, rays) / seen;
-            outlook_.learn_from_pilots(best, index_of(flat), ratio);
+            outlook_.learn_from_pilots(best, index_of(flat), std::max(least, ratio));
         }
         const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
         const double both = 2 * (cheap.build_s + 1e-9 * double(compared) * seen);

@@ -125,7 +125,28 @@ size_t Outlook::first() const {
         if (!e.fits || is_lazy(s) || uses_order(s)) continue;
         if (e.build_s + trial_s(e) <= most && e.total_s < least) least = e.total_s, stone = i;
     }
-    return stone;
+    return stone == best ? surest(best) : stone;
+}
+
+/// Of what is expected to be as good as the best, within what estimates are worth: what is built
+/// faster than this, flat rather than nested. Rays may turn out slower than expected; a build that
+/// is short leaves room for another.
+size_t Outlook::surest(size_t best) const {
+    constexpr double as_good = 1.1;
+    const auto is_flat = [&](size_t i) {
+        return candidates_[i].choice.placing == PlanChoice::Placing::flat;
+    };
+    size_t found = best;
+    for (size_t i = 0; i < size(); ++i) {
+        const CostEstimate& e = now_[i];
+        const StructureChoice& s = candidates_[i].choice.structure;
+        if (!e.fits || is_lazy(s) || uses_order(s) || e.total_s > as_good * now_[best].total_s)
+            continue;
+        const bool flatter = is_flat(i) && !is_flat(found);
+        const bool shorter = is_flat(i) == is_flat(found) && e.build_s < now_[found].build_s;
+        if (e.build_s < now_[best].build_s && (flatter || shorter)) found = i;
+    }
+    return found;
 }
 
 /// Of ln(ns per ray of candidate i over that of what is held).

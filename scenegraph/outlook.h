@@ -63,6 +63,7 @@ class Outlook {
 
   private:
     double spread_of(size_t i) const;
+    size_t surest(size_t best) const;
     double deviation(size_t i, size_t held) const;
     double gain(size_t i, size_t held) const;
     bool affordable(size_t i, size_t held) const;

@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <set>
 
 #include "accelerators/auto_select.h"
@@ -415,6 +416,47 @@ TEST_CASE("auto: no build is tried that would be lost beyond the share of choosi
     };
     CHECK(next(0.002) == 1);
     CHECK(next(0.006) == 2);
+}
+
+TEST_CASE("auto: of what is expected to be about as good, the shortest build comes first") {
+    // 1e6 rays; builds of more than 2 ms are no stepping stones.
+    const auto first = [](double dear_ns) {
+        return Outlook({candidate("dear", 0.04, dear_ns), candidate("cheap", 0.006, 100)},
+                       counted_for(1e6), 10000)
+            .first();
+    };
+    CHECK(first(60) == 1);
+    CHECK(first(30) == 0);
+}
+
+TEST_CASE("auto: how nesting compares on a thinned scene scales what is nested, and nothing else") {
+    const AutoOptions options = counted_for(1e6);
+    Candidate nested = candidate("nested", 0.001, 125);
+    nested.choice.placing = PlanChoice::Placing::nested;
+    Outlook outlook({candidate("flat", 0.001, 100), nested}, options, 10000);
+    outlook.learn_placing(1);
+    CHECK(outlook[0].ns_per_ray == 100);
+    CHECK(outlook[1].ns_per_ray == Approx(100));
+    outlook.learn_placing(std::numeric_limits<double>::quiet_NaN());
+    CHECK(outlook[1].ns_per_ray == Approx(100));
+}
+
+TEST_CASE("auto: rays from one point, neighbours together, are told from others") {
+    std::vector<Ray> rays(100);
+    for (size_t i = 0; i < rays.size(); ++i) rays[i].direction = Vec3f(0.01f * float(i), 0, 1);
+    CHECK(coherence_of(rays) == Coherence::together);
+    for (size_t i = 0; i < rays.size(); i += 2) rays[i].direction = -rays[i].direction;
+    CHECK(coherence_of(rays) == Coherence::apart);
+    CHECK(coherence_of({}) == Coherence::unknown);
+    StructureCosts c = costs("bvh", 100, 40, 200);
+    c.together = 0.5, c.apart = 1.5;
+    Objective objective;
+    for (const auto& [coherence, ns] : {std::pair{Coherence::unknown, 200.0},
+                                        {Coherence::together, 100.0},
+                                        {Coherence::apart, 300.0}}) {
+        objective.coherence = coherence;
+        CHECK(estimate(&c, false, 100, objective).ns_per_ray == Approx(ns));
+    }
 }
 
 TEST_CASE("auto: what two thinned structures show is believed more than what counts say") {
