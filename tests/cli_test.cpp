@@ -402,7 +402,12 @@ TEST_CASE("cli: auto explains itself, and refuses what it cannot do with one lin
     const Outcome few = run_crofton("inspect " + scene + " --explain --set objective.rays=10");
     CHECK(few.code == 0);
     CHECK(few.out.find("Chosen for 10 rays") != std::string::npos);
-    CHECK(few.out.find("kdtree") != std::string::npos);
+    CHECK(few.out.find("wide_bvh") != std::string::npos);
+    CHECK(few.out.find("kdtree") == std::string::npos);  // too dear to look at for ten rays
+    const Outcome many =
+        run_crofton("inspect " + scene + " --explain --set objective.rays=1000000");
+    CHECK(many.code == 0);
+    CHECK(many.out.find("kdtree") != std::string::npos);
     const Outcome tight = run_crofton("inspect " + scene + " --explain --set objective.memory=10");
     CHECK(tight.code == 2);
     CHECK(tight.out.find("10 bytes") != std::string::npos);
