@@ -243,27 +243,23 @@ class PacketLeaves {
                 if (!open) continue;
                 const uint32_t plain = open & bits(hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
                 alone |= (open & ~plain) << r;
-                if constexpr (Q == Query::any) {
-                    alone |= plain << r;
-                } else {
-                    if (!plain) continue;
-                    const auto size = [&](const float(&v)[TrianglePatch::width][N]) HWY_ATTR {
-                        return hn::Max(
-                            hn::Max(hn::Abs(hn::Load(d, v[a])), hn::Abs(hn::Load(d, v[b]))),
-                            hn::Abs(hn::Load(d, v[c])));
-                    };
-                    const auto det = hn::Add(hn::Add(e0, e1), e2);
-                    const auto t = hn::Div(
-                        hn::Add(hn::Add(hn::Mul(e0, z0), hn::Mul(e1, z1)), hn::Mul(e2, z2)), det);
-                    const auto error =
-                        error_of_t(hn::Max(size(x), size(y)), hn::Abs(det), near, far);
-                    alignas(64) float first[N], last[N];
-                    hn::Store(hn::Max(near, hn::Sub(t, error)), d, first);
-                    hn::Store(hn::Min(far, hn::Add(t, error)), d, last);
-                    for (uint32_t left = plain; left; left &= left - 1) {
-                        const uint32_t k = lowest(left), ray = uint32_t(r) + k;
-                        if (!propose(ray, index, patch, i, first[k], last[k])) alone |= 1u << ray;
-                    }
+                if (!plain) continue;
+                const auto size = [&](const float(&v)[TrianglePatch::width][N]) HWY_ATTR {
+                    return hn::Max(hn::Max(hn::Abs(hn::Load(d, v[a])), hn::Abs(hn::Load(d, v[b]))),
+                                   hn::Abs(hn::Load(d, v[c])));
+                };
+                const auto det = hn::Add(hn::Add(e0, e1), e2);
+                const auto per_det = hn::Div(hn::Set(d, 1.0f), det);
+                const auto t = hn::Add(
+                    hn::Add(hn::Mul(hn::Mul(e0, per_det), z0), hn::Mul(hn::Mul(e1, per_det), z1)),
+                    hn::Mul(hn::Mul(e2, per_det), z2));
+                const auto error = error_of_t(hn::Max(size(x), size(y)), hn::Abs(det), near, far);
+                alignas(64) float first[N], last[N];
+                hn::Store(hn::Max(near, hn::Sub(t, error)), d, first);
+                hn::Store(hn::Min(far, hn::Add(t, error)), d, last);
+                for (uint32_t left = plain; left; left &= left - 1) {
+                    const uint32_t k = lowest(left), ray = uint32_t(r) + k;
+                    if (!propose(ray, index, patch, i, first[k], last[k])) alone |= 1u << ray;
                 }
             }
         }
@@ -275,24 +271,27 @@ class PacketLeaves {
     }
 
     /// How far off the float t may be: as solve_lanes has it, with u = 2^-24. Where that is no
-    /// small part of the triangle, all of it.
+    /// small part of the triangle, or products under- or overflow, all of it.
     static HWY_INLINE V error_of_t(V reach, V det, V near, V far) {
         const auto depth = hn::Max(hn::Abs(near), hn::Abs(far));  // |direction[kz]| < 2
         const auto steep = hn::Mul(reach, hn::Div(hn::Add(reach, hn::Add(depth, depth)), det));
         const auto spread = hn::Sub(far, near);
         const auto error = hn::Add(hn::Mul(hn::Mul(steep, hn::Set(d, 0x1p-16f)), spread),
                                    hn::Mul(depth, hn::Set(d, 0x1p-20f)));
-        return hn::IfThenElse(hn::Lt(steep, hn::Set(d, 0x1p12f)), error,
-                              hn::Set(d, std::numeric_limits<float>::infinity()));
+        const auto valid =
+            hn::And(hn::Lt(steep, hn::Set(d, 0x1p12f)),
+                    hn::And(hn::Gt(det, hn::Set(d, 0x1p-100f)), hn::Lt(det, hn::Set(d, 0x1p120f))));
+        return hn::IfThenElse(valid, error, hn::Set(d, std::numeric_limits<float>::infinity()));
     }
 
     /// Makes a triangle the candidate of a ray if it is met, from near to far, right in front of
-    /// what the ray has.
+    /// what the ray has; of an `any` query, if it is met within the interval.
     template <class Patch>
     HWY_INLINE bool propose(uint32_t r, uint32_t index, const Patch& patch, uint32_t triangle,
                             float near, float far) {
         const RayQuery& q = packet_.query[r];
         const bool has = candidates_ >> r & 1;
+        if (Q == Query::any && has) return true;
         const float reach = far + std::abs(far) * cull_slack;
         if (!(near > q.t_min + std::abs(q.t_min) * cull_slack &&
               reach < (has ? near_[r] : q.t_best)))
@@ -304,7 +303,7 @@ class PacketLeaves {
         for (int k = 0; k < 3; ++k)
             for (int a = 0; a < 3; ++a)
                 corner_[k][a][r] = patch.v[axis_[a]][patch.corner[k][triangle]];
-        rays_.set_cull(r, reach);
+        rays_.set_cull(r, Q == Query::any ? -INFINITY : reach);
         nearer_ = true;
         return true;
     }
@@ -315,7 +314,8 @@ class PacketLeaves {
         const RayQuery& q = packet_.query[r];
         const float before = q.t_best;
         test_alone(r, patch_[r], 1);
-        if (q.t_best == before) again_ |= 1u << r;
+        if (Q == Query::any ? packet_.found[r] : q.t_best != before) return;
+        again_ |= 1u << r;
         rays_.set_cull(r, q.t_cull);
         nearer_ = true;
     }
@@ -346,7 +346,8 @@ class PacketLeaves {
             const uint32_t i = lowest(left), r = first + i;
             RayQuery& q = packet_.query[r];
             if (known >> i & 1 && t[i] >= q.t_min && t[i] <= q.t_best)
-                q.record(t[i], u[i], v[i], set_.ids(), id_[r]);
+                Q == Query::any ? void(packet_.found[r] = true)
+                                : q.record(t[i], u[i], v[i], set_.ids(), id_[r]);
             else
                 settle(r);
         }

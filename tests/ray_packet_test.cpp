@@ -9,6 +9,7 @@
 #include "framework/registry.h"
 #include "framework/triangle_set.h"
 #include "tests/catch.h"
+#include "tests/hard_scenes.h"
 #include "tests/height_field.h"
 
 namespace crofton {
@@ -119,6 +120,25 @@ TEST_CASE(
         accelerator("wide_bvh").build(std::make_shared<const ObjectSet>(std::move(objects)), {});
     REQUIRE(top->takes_packets());
     CHECK(check_span(*top, picture(1), Mode::robust) > size_t{width} * height / 2);
+}
+
+TEST_CASE("ray packet: sixteen nearly equal rays at every hard place") {
+    for (const test::HardScene& scene : test::hard_scenes()) {
+        if (!std::holds_alternative<std::shared_ptr<const TriangleSet>>(scene.set)) continue;
+        INFO(scene.name);
+        const auto object = accelerator("wide_bvh").build(scene.set, {});
+        std::vector<Ray> rays;
+        for (const Ray& ray : scene.rays)
+            for (int i = 0; i < int(RayPacket::most); ++i) {
+                rays.push_back(ray);
+                // Some the same, some turned by a float or two, some by more.
+                const float turn = i < 4    ? 0.0f
+                                   : i < 10 ? 0x1p-23f * float(i - 7)
+                                            : 1e-3f * float(i);
+                rays.back().direction[i % 3] *= 1 + turn;
+            }
+        check_span(*object, rays, Mode::robust);
+    }
 }
 
 TEST_CASE("ray packet: one that passes what its rays do not meet gives up, and nothing is lost") {
