@@ -185,8 +185,9 @@ class PointTable {
     uint32_t insert(uint32_t p, const float* at, const Equal& equal) {
         uint32_t bits[3];
         std::memcpy(bits, at, sizeof bits);
-        const uint64_t hash = bits[0] * 0x9e3779b97f4a7c15 + bits[1] * 0xc2b2ae3d27d4eb4f +
-                              bits[2] * 0x165667b19e3779f9;
+        const uint64_t hash = bits[0] * uint64_t{0x9e3779b97f4a7c15} +
+                              bits[1] * uint64_t{0xc2b2ae3d27d4eb4f} +
+                              bits[2] * uint64_t{0x165667b19e3779f9};
         for (size_t i = hash >> shift_;; i = (i + 1) & (table_.size() - 1)) {
             std::atomic_ref<uint32_t> slot(table_[i]);
             uint32_t other = slot.load(std::memory_order_relaxed);
