@@ -14,6 +14,15 @@ HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
 
+/// Some of a packet's rays, one a lane.
+using RayLanes = hn::CappedTag<float, RayPacket::most>;
+
+HWY_INLINE uint32_t bits(hn::Mask<RayLanes> mask) {
+    uint8_t b[8] = {};
+    hn::StoreMaskBits(RayLanes(), mask, b);
+    return uint32_t(b[0]) | uint32_t(b[1]) << 8;
+}
+
 /// A packet's rays side by side.
 class PacketRays {
   public:
@@ -54,9 +63,7 @@ class PacketRays {
                 leave = hn::Min(leave, hn::Mul(hn::Sub(out, hn::Load(d, far_origin_[a] + r)),
                                                hn::Load(d, far_rcp_[a] + r)));
             }
-            uint8_t bits[8] = {};
-            hn::StoreMaskBits(d, hn::Le(enter, leave), bits);
-            hits |= (uint32_t(bits[0]) | uint32_t(bits[1]) << 8) << r;
+            hits |= bits(hn::Le(enter, leave)) << r;
         }
         return hits;
     }
@@ -71,7 +78,7 @@ class PacketRays {
     Ends far_rcp() const { return ends(far_rcp_); }
 
   private:
-    static constexpr hn::CappedTag<float, RayPacket::most> d{};
+    static constexpr RayLanes d{};
     static constexpr size_t N = hn::MaxLanes(d);
     using Row = float[RayPacket::most];
 
@@ -143,24 +150,13 @@ class PacketLeaves {
   private:
     static constexpr bool triangles = std::is_same_v<Set, TriangleSet>;
     static constexpr uint32_t least_together = 8;
-    static constexpr hn::CappedTag<float, RayPacket::most> d{};
+    static constexpr RayLanes d{};
     static constexpr size_t N = hn::MaxLanes(d);
     using V = hn::Vec<decltype(d)>;
     using Row = float[RayPacket::most];
 
     static HWY_INLINE uint32_t lowest(uint32_t bits) {
         return uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(bits));
-    }
-    static HWY_INLINE uint32_t bits(hn::Mask<decltype(d)> mask) {
-        uint8_t b[8] = {};
-        hn::StoreMaskBits(d, mask, b);
-        return uint32_t(b[0]) | uint32_t(b[1]) << 8;
-    }
-    static HWY_INLINE const TrianglePatch& patch_at(const TrianglePatches& leaves, uint32_t i) {
-        return leaves.patches()[i];
-    }
-    static HWY_INLINE FetchedPatch patch_at(const CompactPatches& leaves, uint32_t i) {
-        return FetchedPatch(leaves.patches()[i], leaves.vertices());
     }
 
     /// Whether rays have the mode and one main axis; then, when first asked, puts them side by
@@ -200,74 +196,91 @@ class PacketLeaves {
         }
     }
 
+    /// A patch's corners as N rays see them: sheared, the third in units of t.
+    struct Corners {
+        alignas(64) float x[TrianglePatch::width][N], y[TrianglePatch::width][N],
+            z[TrianglePatch::width][N];
+    };
+    template <class Patch>
+    HWY_INLINE void shear(const Patch& patch, size_t r, Corners& corners) const {
+        const auto ox = hn::Load(d, origin_[0] + r), oy = hn::Load(d, origin_[1] + r),
+                   oz = hn::Load(d, origin_[2] + r);
+        const auto sx = hn::Load(d, shear_[0] + r), sy = hn::Load(d, shear_[1] + r),
+                   sz = hn::Load(d, shear_[2] + r);
+        const uint32_t count = std::min(3 * patch.count, TrianglePatch::width);
+        for (uint32_t i = 0; i < count; ++i) {
+            const auto x = hn::Sub(hn::Set(d, patch.v[axis_[0]][i]), ox),
+                       y = hn::Sub(hn::Set(d, patch.v[axis_[1]][i]), oy),
+                       z = hn::Sub(hn::Set(d, patch.v[axis_[2]][i]), oz);
+            hn::Store(hn::Sub(x, hn::Mul(sx, z)), d, corners.x[i]);
+            hn::Store(hn::Sub(y, hn::Mul(sy, z)), d, corners.y[i]);
+            hn::Store(hn::Mul(z, sz), d, corners.z[i]);
+        }
+    }
+
     template <class Patch>
     HWY_INLINE void test_patch_together(uint32_t index, const Patch& patch, uint32_t rays) {
         uint32_t alone = 0;  // rays that have to test this patch by themselves
         for (size_t r = 0; r < RayPacket::most; r += N) {
             const uint32_t active = rays >> r & ((1u << N) - 1);
             if (!active) continue;
-            const auto ox = hn::Load(d, origin_[0] + r), oy = hn::Load(d, origin_[1] + r),
-                       oz = hn::Load(d, origin_[2] + r);
-            const auto sx = hn::Load(d, shear_[0] + r), sy = hn::Load(d, shear_[1] + r),
-                       sz = hn::Load(d, shear_[2] + r);
-            alignas(64) float x[TrianglePatch::width][N], y[TrianglePatch::width][N],
-                z[TrianglePatch::width][N];
-            const uint32_t corners = std::min(3 * patch.count, TrianglePatch::width);
-            for (uint32_t i = 0; i < corners; ++i) {
-                const auto depth = hn::Sub(hn::Set(d, patch.v[axis_[2]][i]), oz);
-                hn::Store(
-                    hn::Sub(hn::Sub(hn::Set(d, patch.v[axis_[0]][i]), ox), hn::Mul(sx, depth)), d,
-                    x[i]);
-                hn::Store(
-                    hn::Sub(hn::Sub(hn::Set(d, patch.v[axis_[1]][i]), oy), hn::Mul(sy, depth)), d,
-                    y[i]);
-                hn::Store(hn::Mul(depth, sz), d, z[i]);
-            }
-            for (uint32_t i = 0; i < patch.count; ++i) {
-                const uint32_t a = patch.corner[0][i], b = patch.corner[1][i],
-                               c = patch.corner[2][i];
-                const auto edge = [&](uint32_t p, uint32_t q) HWY_ATTR {
-                    return hn::Sub(hn::Mul(hn::Load(d, x[p]), hn::Load(d, y[q])),
-                                   hn::Mul(hn::Load(d, y[p]), hn::Load(d, x[q])));
-                };
-                const auto e0 = edge(c, b), e1 = edge(a, c), e2 = edge(b, a);
-                const auto low = hn::Min(hn::Min(e0, e1), e2), high = hn::Max(hn::Max(e0, e1), e2);
-                const auto zero = hn::Zero(d);
-                const uint32_t in = active & bits(hn::Or(hn::Ge(low, zero), hn::Le(high, zero)));
-                if (!in) continue;
-                const auto z0 = hn::Load(d, z[a]), z1 = hn::Load(d, z[b]), z2 = hn::Load(d, z[c]);
-                const auto near = hn::Min(hn::Min(z0, z1), z2), far = hn::Max(hn::Max(z0, z1), z2);
-                const uint32_t open =
-                    in & bits(hn::And(hn::Le(near, hn::Load(d, rays_.t_cull() + r)),
-                                      hn::Ge(far, hn::Load(d, rays_.t_low() + r))));
-                if (!open) continue;
-                const uint32_t plain = open & bits(hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
-                alone |= (open & ~plain) << r;
-                if (!plain) continue;
-                const auto size = [&](const float(&v)[TrianglePatch::width][N]) HWY_ATTR {
-                    return hn::Max(hn::Max(hn::Abs(hn::Load(d, v[a])), hn::Abs(hn::Load(d, v[b]))),
-                                   hn::Abs(hn::Load(d, v[c])));
-                };
-                const auto det = hn::Add(hn::Add(e0, e1), e2);
-                const auto per_det = hn::Div(hn::Set(d, 1.0f), det);
-                const auto t = hn::Add(
-                    hn::Add(hn::Mul(hn::Mul(e0, per_det), z0), hn::Mul(hn::Mul(e1, per_det), z1)),
-                    hn::Mul(hn::Mul(e2, per_det), z2));
-                const auto error = error_of_t(hn::Max(size(x), size(y)), hn::Abs(det), near, far);
-                alignas(64) float first[N], last[N];
-                hn::Store(hn::Max(near, hn::Sub(t, error)), d, first);
-                hn::Store(hn::Min(far, hn::Add(t, error)), d, last);
-                for (uint32_t left = plain; left; left &= left - 1) {
-                    const uint32_t k = lowest(left), ray = uint32_t(r) + k;
-                    if (!propose(ray, index, patch, i, first[k], last[k])) alone |= 1u << ray;
-                }
-            }
+            Corners corners;
+            shear(patch, r, corners);
+            for (uint32_t i = 0; i < patch.count; ++i)
+                alone |= test_triangle(index, patch, i, corners, r, active) << r;
         }
         for (uint32_t left = alone; left; left &= left - 1) {
             const uint32_t r = lowest(left);
             settle(r);
             test_alone(r, index, 1);
         }
+    }
+
+    /// Tests a triangle against rays r to r + N - 1, of which those in `active`.
+    /// @return  bit k: ray r + k may hit it, but has to find out alone
+    template <class Patch>
+    HWY_INLINE uint32_t test_triangle(uint32_t index, const Patch& patch, uint32_t triangle,
+                                      const Corners& corners, size_t r, uint32_t active) {
+        const uint32_t a = patch.corner[0][triangle], b = patch.corner[1][triangle],
+                       c = patch.corner[2][triangle];
+        const auto edge = [&](uint32_t p, uint32_t q) HWY_ATTR {
+            return hn::Sub(hn::Mul(hn::Load(d, corners.x[p]), hn::Load(d, corners.y[q])),
+                           hn::Mul(hn::Load(d, corners.y[p]), hn::Load(d, corners.x[q])));
+        };
+        const auto e0 = edge(c, b), e1 = edge(a, c), e2 = edge(b, a);
+        const auto low = hn::Min(hn::Min(e0, e1), e2), high = hn::Max(hn::Max(e0, e1), e2);
+        const auto zero = hn::Zero(d);
+        const uint32_t in = active & bits(hn::Or(hn::Ge(low, zero), hn::Le(high, zero)));
+        if (!in) return 0;
+        const auto z0 = hn::Load(d, corners.z[a]), z1 = hn::Load(d, corners.z[b]),
+                   z2 = hn::Load(d, corners.z[c]);
+        const auto near = hn::Min(hn::Min(z0, z1), z2), far = hn::Max(hn::Max(z0, z1), z2);
+        const uint32_t open = in & bits(hn::And(hn::Le(near, hn::Load(d, rays_.t_cull() + r)),
+                                                hn::Ge(far, hn::Load(d, rays_.t_low() + r))));
+        if (!open) return 0;
+        const uint32_t plain = open & bits(hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
+        uint32_t alone = open & ~plain;
+        if (!plain) return alone;
+        const auto size = [&](const float(&v)[TrianglePatch::width][N]) HWY_ATTR {
+            return hn::Max(hn::Max(hn::Abs(hn::Load(d, v[a])), hn::Abs(hn::Load(d, v[b]))),
+                           hn::Abs(hn::Load(d, v[c])));
+        };
+        const auto det = hn::Add(hn::Add(e0, e1), e2);
+        const auto per_det = hn::Div(hn::Set(d, 1.0f), det);
+        const auto t =
+            hn::Add(hn::Add(hn::Mul(hn::Mul(e0, per_det), z0), hn::Mul(hn::Mul(e1, per_det), z1)),
+                    hn::Mul(hn::Mul(e2, per_det), z2));
+        const auto error =
+            error_of_t(hn::Max(size(corners.x), size(corners.y)), hn::Abs(det), near, far);
+        alignas(64) float first[N], last[N];
+        hn::Store(hn::Max(near, hn::Sub(t, error)), d, first);
+        hn::Store(hn::Min(far, hn::Add(t, error)), d, last);
+        for (uint32_t left = plain; left; left &= left - 1) {
+            const uint32_t k = lowest(left);
+            if (!propose(uint32_t(r) + k, index, patch, triangle, first[k], last[k]))
+                alone |= 1u << k;
+        }
+        return alone;
     }
 
     /// How far off the float t may be: as solve_lanes has it, with u = 2^-24. Where that is no

@@ -27,9 +27,8 @@ struct CacheLineAllocator {
 /// the environment variable CROFTON_HUGE_PAGES is 0. To measure what these are worth.
 void set_huge_pages(bool on);
 
-/// @return `bytes` bytes aligned to 64, or to 2 MiB if there are so many; then the system is
-/// advised
-///         to back each whole 2 MiB by a huge page, or, see set_huge_pages, not to
+/// @return `bytes` bytes aligned to 64, or to 2 MiB if there are so many; the system is then asked
+///         to back each whole 2 MiB by a huge page (or not to: see set_huge_pages)
 /// @throws std::bad_alloc
 void* allocate_for_traversal(size_t bytes);
 

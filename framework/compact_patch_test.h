@@ -73,20 +73,15 @@ struct FetchedPatch {
     }
 };
 
-/// @param count  of patches
+HWY_INLINE FetchedPatch patch_at(const CompactPatches& leaves, uint32_t i) {
+    return FetchedPatch(leaves.patches()[i], leaves.vertices());
+}
+
 template <Query Q, class C>
 HWY_INLINE bool test_leaf(const TriangleSet& set, const CompactPatches& leaves, uint32_t first,
                           uint32_t count, const LocalRay& ray, RayQuery& q, C& counters) {
-    const CompactPatch* patch = leaves.patches() + first;
-    for (const CompactPatch* const end = patch + count; patch != end; ++patch) {
-        const FetchedPatch fetched(*patch, leaves.vertices());
-        counters.test(fetched.count);
-        const bool found = HWY_UNLIKELY(ray.frame != nullptr)
-                               ? test_framed_patch<Q>(fetched, leaves.ids(), ray, q, set.ids())
-                               : test_patch<Q, false>(fetched, leaves.ids(), ray, q, set.ids());
-        if (Q == Query::any && found) return true;
-    }
-    return false;
+    const auto at = [&](uint32_t i) HWY_ATTR { return patch_at(leaves, i); };
+    return test_patches<Q>(set, at, leaves.ids(), first, count, ray, q, counters);
 }
 
 }  // namespace HWY_NAMESPACE

@@ -130,20 +130,34 @@ HWY_NOINLINE bool test_framed_patch(const Patch& patch, const uint32_t* ids, con
     return test_patch<Q, true>(patch, ids, ray, q, table);
 }
 
-/// @param count  of patches
-template <Query Q, class C>
-HWY_INLINE bool test_leaf(const TriangleSet& set, const TrianglePatches& leaves, uint32_t first,
-                          uint32_t count, const LocalRay& ray, RayQuery& q, C& counters) {
-    const TrianglePatch* patch = leaves.patches() + first;
-    for (const TrianglePatch* const end = patch + count; patch != end; ++patch) {
-        counters.test(patch->count);
-        const uint32_t* ids = leaves.ids();
+/// The leaf test of all forms of patches.
+/// @param patch_at  (i): patch i, or a reference to it
+/// @param count     of patches
+template <Query Q, class F, class C>
+HWY_INLINE bool test_patches(const TriangleSet& set, const F& patch_at, const uint32_t* ids,
+                             uint32_t first, uint32_t count, const LocalRay& ray, RayQuery& q,
+                             C& counters) {
+    for (uint32_t i = first; i < first + count; ++i) {
+        const auto& patch = patch_at(i);
+        counters.test(patch.count);
         const bool found = HWY_UNLIKELY(ray.frame != nullptr)
-                               ? test_framed_patch<Q>(*patch, ids, ray, q, set.ids())
-                               : test_patch<Q, false>(*patch, ids, ray, q, set.ids());
+                               ? test_framed_patch<Q>(patch, ids, ray, q, set.ids())
+                               : test_patch<Q, false>(patch, ids, ray, q, set.ids());
         if (Q == Query::any && found) return true;
     }
     return false;
+}
+
+HWY_INLINE const TrianglePatch& patch_at(const TrianglePatches& leaves, uint32_t i) {
+    return leaves.patches()[i];
+}
+
+template <Query Q, class C>
+HWY_INLINE bool test_leaf(const TriangleSet& set, const TrianglePatches& leaves, uint32_t first,
+                          uint32_t count, const LocalRay& ray, RayQuery& q, C& counters) {
+    const auto at = [&](uint32_t i)
+                        HWY_ATTR -> const TrianglePatch& { return patch_at(leaves, i); };
+    return test_patches<Q>(set, at, leaves.ids(), first, count, ray, q, counters);
 }
 
 }  // namespace HWY_NAMESPACE
