@@ -48,16 +48,16 @@ class PacketRays {
     float least_t_low() const { return reduce(t_low_, false); }
     float most_t_cull() const { return reduce(t_cull_, true); }
 
-    /// @param planes  of the box: lower x, y, z, upper x, y, z, every eighth float
+    /// @param planes  of the box: lower x, y, z, upper x, y, z, every `stride`-th float
     /// @param down    whether directions are negative, by axis
     /// @return bit r: ray r may meet the box, see LocalRay
-    HWY_INLINE uint32_t meet(const float* planes, const bool (&down)[3]) const {
+    HWY_INLINE uint32_t meet(const float* planes, size_t stride, const bool (&down)[3]) const {
         uint32_t hits = 0;
         for (size_t r = 0; r < RayPacket::most; r += N) {
             auto enter = hn::Load(d, t_low_ + r), leave = hn::Load(d, t_cull_ + r);
             for (size_t a = 0; a < 3; ++a) {
-                const auto in = hn::Set(d, planes[8 * (down[a] ? a + 3 : a)]);
-                const auto out = hn::Set(d, planes[8 * (down[a] ? a : a + 3)]);
+                const auto in = hn::Set(d, planes[stride * (down[a] ? a + 3 : a)]);
+                const auto out = hn::Set(d, planes[stride * (down[a] ? a : a + 3)]);
                 enter = hn::Max(enter, hn::Mul(hn::Sub(in, hn::Load(d, near_origin_[a] + r)),
                                                hn::Load(d, rcp_[a] + r)));
                 leave = hn::Min(leave, hn::Mul(hn::Sub(out, hn::Load(d, far_origin_[a] + r)),

@@ -3,11 +3,10 @@
 namespace crofton {
 namespace {
 
-/// Least cost of a subtree, times area, given up to k slots of the wide node above it.
-using Costs = std::array<double, WideCollapse::width + 1>;
-
 /// Best share of k slots for the left child; of equal ones, the most even.
-uint8_t best_share(const Costs& left, const Costs& right, int k, double& cost) {
+template <size_t N>
+uint8_t best_share(const std::array<double, N>& left, const std::array<double, N>& right, int k,
+                   double& cost) {
     int best = k / 2;
     cost = left[size_t(best)] + right[size_t(k - best)];
     for (int i = 1; i < k; ++i) {
@@ -21,9 +20,12 @@ uint8_t best_share(const Costs& left, const Costs& right, int k, double& cost) {
 
 /// Plans a subtree after its children, the two at once near the root of a large tree. Recursion is
 /// as deep as the tree, which is bounded.
+template <int W>
 class WidePlanner {
+    using Costs = std::array<double, W + 1>;  // least cost of a subtree, times area, by slots
+
   public:
-    WidePlanner(WideCollapse& collapse, const TreeCosts& costs, double wide_node,
+    WidePlanner(WideCollapse<W>& collapse, const TreeCosts& costs, double wide_node,
                 std::span<const float> cost_of_shape)
         : tree_(collapse.tree_),
           plans_(collapse.plans_),
@@ -43,15 +45,15 @@ class WidePlanner {
         invoke_both(
             depth < parallel_levels_, [&] { plan(node.left, depth + 1, left); },
             [&] { plan(node.right, depth + 1, right); });
-        WideCollapse::Plan& p = plans_[n];
-        for (int k = WideCollapse::width; k >= 2; --k) {
+        typename WideCollapse<W>::Plan& p = plans_[n];
+        for (int k = W; k >= 2; --k) {
             double shared;
             p[size_t(k)] = best_share(left, right, k, shared);
-            if (k == WideCollapse::width) c[1] = area * wide_node_ + shared;
+            if (k == W) c[1] = area * wide_node_ + shared;
             c[size_t(k)] = shared;
             if (c[1] < shared) {
                 c[size_t(k)] = c[1];
-                p[size_t(k)] |= WideCollapse::own_node;
+                p[size_t(k)] |= WideCollapse<W>::own_node;
             }
         }
     }
@@ -66,23 +68,25 @@ class WidePlanner {
     }
 
     const BinaryTree& tree_;
-    RawAlignedVector<WideCollapse::Plan>& plans_;
+    RawAlignedVector<typename WideCollapse<W>::Plan>& plans_;
     const TreeCosts& costs_;
     double wide_node_;
     std::span<const float> cost_of_shape_;
     int parallel_levels_;
 };
 
-WideCollapse::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
-                           std::span<const float> cost_of_shape)
+template <int W>
+WideCollapse<W>::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
+                              std::span<const float> cost_of_shape)
     : tree_(tree), plans_(tree.nodes.size()) {
-    Costs root;
-    WidePlanner(*this, costs, wide_node, cost_of_shape).plan(0, 0, root);
+    std::array<double, W + 1> root;
+    WidePlanner<W>(*this, costs, wide_node, cost_of_shape).plan(0, 0, root);
     const double area = half_area(tree.nodes[0].bounds);
     if (area > 0) expected_cost_ = root[1] / area;
 }
 
-WideCollapse::Children WideCollapse::children(uint32_t root) const {
+template <int W>
+typename WideCollapse<W>::Children WideCollapse<W>::children(uint32_t root) const {
     Children list;
     if (tree_.nodes[root].leaf()) {
         list.node[list.count++] = root;
@@ -108,5 +112,9 @@ WideCollapse::Children WideCollapse::children(uint32_t root) const {
     }
     return list;
 }
+
+template class WideCollapse<4>;
+template class WideCollapse<8>;
+template class WideCollapse<16>;
 
 }  // namespace crofton

@@ -6,13 +6,14 @@
 
 namespace crofton {
 
-/// Which nodes of a binary tree are left out when it becomes one with up to eight children a node,
-/// so that the area heuristic's cost is least (dynamic programming: Wald, Benthin, Boulos 2008,
+/// Which nodes of a binary tree are left out when it becomes one with up to W children a node, so
+/// that the area heuristic's cost is least (dynamic programming: Wald, Benthin, Boulos 2008,
 /// "Getting rid of packets"; Ylitie, Karras, Laine 2017, "Efficient incoherent ray traversal on
 /// GPUs through compressed wide BVHs"). O(N) time and memory. Leaves stay as they are.
+template <int W>
 class WideCollapse {
   public:
-    static constexpr int width = 8;
+    static constexpr int width = W;
 
     /// Nodes of the binary tree.
     struct Children {
@@ -29,14 +30,14 @@ class WideCollapse {
     WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
                  std::span<const float> cost_of_shape);
 
-    /// Children of the wide node that stands for an inner node: 2 to 8. Of a leaf, itself.
+    /// Children of the wide node that stands for an inner node: 2 to W. Of a leaf, itself.
     Children children(uint32_t node) const;
 
     /// Nominal ns of a random line that meets the root.
     double expected_cost() const { return expected_cost_; }
 
   private:
-    /// For k slots, k from 2 to 8: how many the left child gets; with the high bit, the node costs
+    /// For k slots, k from 2 to W: how many the left child gets; with the high bit, the node costs
     /// less as a wide node of its own in one slot.
     using Plan = std::array<uint8_t, width + 1>;
     static constexpr uint8_t own_node = 0x80;
@@ -45,7 +46,12 @@ class WideCollapse {
     RawAlignedVector<Plan> plans_;
     double expected_cost_ = 0;
 
+    template <int>
     friend class WidePlanner;
 };
+
+extern template class WideCollapse<4>;
+extern template class WideCollapse<8>;
+extern template class WideCollapse<16>;
 
 }  // namespace crofton

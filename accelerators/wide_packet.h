@@ -1,4 +1,4 @@
-// Traversal of WideNodes by packets; included once per target, after ChildrenTest.
+// Traversal of WideNodes by packets; included once per target.
 #if defined(CROFTON_ACCELERATORS_WIDE_PACKET_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef CROFTON_ACCELERATORS_WIDE_PACKET_H_
 #undef CROFTON_ACCELERATORS_WIDE_PACKET_H_
@@ -7,6 +7,7 @@
 #endif
 
 #include "accelerators/packet_leaves.h"
+#include "accelerators/wide_children_test.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
@@ -15,10 +16,11 @@ namespace HWY_NAMESPACE {
 /// Where the first of a packet's rays may enter, and the last may leave, some children of a node
 /// (interval arithmetic: Boulos, Wald, Shirley 2006, "Geometric and arithmetic culling methods for
 /// entire ray packets"). Rounding is monotone: no ray's meet() finds what this one misses.
+template <class Node>
 class PacketChildrenTest {
   public:
     explicit HWY_INLINE PacketChildrenTest(const RayPacket& packet, const PacketRays& rays)
-        : offsets_(packet.local[0], offsetof(WideNode, planes), 8 * sizeof(float)),
+        : offsets_(packet.local[0], offsetof(Node, planes), Node::width * sizeof(float)),
           rcp_(rays.rcp()),
           far_rcp_(rays.far_rcp()) {
         const PacketRays::Ends near = rays.near_origin(), far = rays.far_origin();
@@ -29,18 +31,10 @@ class PacketChildrenTest {
         }
     }
 
-    /// See ChildrenTest; t_near is that of the first.
-    HWY_INLINE uint32_t test(const WideNode& node, float t_low, float t_cull,
+    /// See test_children; t_near is that of the first ray.
+    HWY_INLINE uint32_t part(const Node& node, size_t first, float t_low, float t_cull,
                              float* HWY_RESTRICT t_near) const {
-        uint32_t hits = 0;
-        for (size_t i = 0; i < 8; i += node_lanes) hits |= test(node, i, t_low, t_cull, t_near);
-        return hits;
-    }
-
-  private:
-    HWY_INLINE uint32_t test(const WideNode& node, size_t first, float t_low, float t_cull,
-                             float* HWY_RESTRICT t_near) const {
-        const NodeLanes d;
+        const NodeLanes<Node> d;
         const auto* const bytes = reinterpret_cast<const char*>(&node);
         auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
         for (size_t a = 0; a < 3; ++a) {
@@ -56,9 +50,10 @@ class PacketChildrenTest {
                                            hn::Mul(out, hn::Set(d, far_rcp_.high[a]))));
         }
         hn::Store(enter, d, t_near + first);
-        return lane_bits(hn::Le(enter, leave)) << first;
+        return lane_bits(d, hn::Le(enter, leave));
     }
 
+  private:
     PlaneOffsets offsets_;
     PacketRays::Ends rcp_, far_rcp_;
     float enter_origin_[3], leave_origin_[3];
@@ -74,26 +69,25 @@ class PacketChildrenTest {
 /// @param alone  (r): traces ray r by itself, from the root, with what it found so far
 /// @return  false: it took more than that and gave up; its rays have still to be traced, from the
 ///          root, with what they found so far
-template <Query Q, class Set, class Leaves, class F>
-bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set, RayPacket& packet,
-                  const F& alone) {
+template <Query Q, class Node, class Set, class Leaves, class F>
+bool trace_packet(const WideBvh<Set>& bvh, const Node* nodes, const Leaves& leaves, const Set& set,
+                  RayPacket& packet, const F& alone) {
     constexpr int free_visits = 32;
     if (bvh.box.empty() || packet.count == 0) return true;
     int visits_left = free_visits;
     struct Open {
         float t;
         uint32_t child;
-        const float* planes;  ///< of the child, every eighth float
+        const float* planes;  ///< of the child, every Node::width-th float
     };
-    const WideNode* nodes = bvh.nodes.data();
     PacketRays rays(packet);
-    const PacketChildrenTest boxes(packet, rays);
+    const PacketChildrenTest<Node> boxes(packet, rays);
     bool down[3];
     for (int a = 0; a < 3; ++a) down[a] = std::signbit(packet.local[0].rcp[a]);
     const float t_low = rays.least_t_low();
     float t_cull = rays.most_t_cull();
     PacketLeaves<Q, Set, Leaves> at_leaves(leaves, set, packet, rays);
-    Open stack[WideBvh<Set>::max_depth * (WideBvh<Set>::width - 1) + 1];
+    Open stack[WideBvh<Set>::max_depth * (Node::width - 1) + 1];
     Open* top = stack;
     *top++ = {-INFINITY, 0, nullptr};
     while (top > stack) {
@@ -104,10 +98,11 @@ bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set,
             return false;
         }
         if (!WideChild::is_leaf(open.child)) {
-            const WideNode& node = node_at(nodes, open.child);
-            alignas(32) float t[8];
+            const Node& node = node_at(nodes, open.child);
+            alignas(4 * Node::width) float t[Node::width];
             Open* const base = top;
-            for (uint32_t hits = boxes.test(node, t_low, t_cull, t); hits; hits &= hits - 1) {
+            for (uint32_t hits = test_children(boxes, node, t_low, t_cull, t); hits;
+                 hits &= hits - 1) {
                 const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
                 const Open child{t[i], node.child[i], &node.planes[0][0][i]};
                 Open* at = top++;
@@ -116,7 +111,7 @@ bool trace_packet(const WideBvh<Set>& bvh, const Leaves& leaves, const Set& set,
             }
             continue;
         }
-        const uint32_t hits = rays.meet(open.planes, down);
+        const uint32_t hits = rays.meet(open.planes, Node::width, down);
         if (!hits) continue;
         visits_left += 2 * int(hwy::PopCount(hits));
         if (at_leaves.test(WideChild::first(open.child), WideChild::count(open.child), hits))

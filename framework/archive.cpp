@@ -19,7 +19,7 @@ namespace crofton {
 namespace {
 
 /// Version of everything in a file: raised when any structure or set changes what it stores.
-constexpr uint32_t archive_version = 3;
+constexpr uint32_t archive_version = 4;
 constexpr char magic[8] = {'c', 'r', 'o', 'f', 't', 'o', 'n', '\n'};
 
 /// byte 0 magic, 8 version, 12 byte order, 16 size of the rest, 24 its checksum

@@ -77,8 +77,10 @@ std::string to_string(const ParameterValue& value) {
 
 ParameterValue checked(const ParameterInfo& info, const ParameterValue& value) {
     ParameterValue v = value;
-    if (std::holds_alternative<double>(info.default_value))
-        if (const int64_t* i = std::get_if<int64_t>(&v)) v = double(*i);
+    if (const int64_t* i = std::get_if<int64_t>(&v)) {
+        if (std::holds_alternative<double>(info.default_value)) v = double(*i);
+        if (!info.choices.empty()) v = std::to_string(*i);
+    }
     if (v.index() != info.default_value.index())
         throw InputError(info.name + ": expected " + type_name(info.default_value) + ", found " +
                          type_name(v));

@@ -70,6 +70,13 @@ TEST_CASE("config: a wrong type is refused with what was expected and found") {
     CHECK(parameter.find("expected an integer, found a string") != std::string::npos);
 }
 
+TEST_CASE("config: a choice among numbers may be written as a number") {
+    const std::string wide = scene + "[accelerator.fine]\ntype = \"wide_bvh\"\nwidth = ";
+    CHECK(error_of(wide + "8\n") == "");
+    CHECK(error_of(wide + "\"8\"\n") == "");
+    CHECK(error_of(wide + "5\n").find("test.toml:5:9: width: unknown value '5'") == 0);
+}
+
 TEST_CASE("config: a value out of range is refused") {
     CHECK(error_of(scene + "[run]\nrepeats = 0\n") ==
           "test.toml:4:11: repeats: 0 is outside 1 … 10000");

@@ -94,13 +94,17 @@ TEST_CASE("ray packet: rays that start together and go one way suit") {
 }
 
 TEST_CASE("ray packet: pictures as spans give the single calls' hits, in every mode") {
-    for (const std::string leaves : {"full", "compact"}) {
-        const auto ground = bumpy_ground("wide_bvh", 60, {{"leaves", leaves}});
+    const std::pair<const char*, const char*> forms[] = {
+        {"full", "16"}, {"compact", "16"}, {"full", "8"}, {"full", "4"}};
+    for (const auto& [leaves, children] : forms) {
+        const auto ground = bumpy_ground(
+            "wide_bvh", 60, {{"leaves", std::string(leaves)}, {"width", std::string(children)}});
         REQUIRE(ground->takes_packets());
         for (const float times : {1.0f, 1e-20f, 3e15f})
             for (const Mode mode :
                  {Mode::fast, Mode::robust, Mode::double_precision, Mode::exact}) {
-                INFO(leaves << ", " << name_of(mode) << ", directions times " << times);
+                INFO(leaves << ", " << children << ", " << name_of(mode) << ", directions times "
+                            << times);
                 CHECK(check_span(*ground, picture(times), mode) > size_t{width} * height / 2);
             }
     }

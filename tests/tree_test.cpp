@@ -314,61 +314,83 @@ TEST_CASE("a tree is the same, bit for bit, for any number of threads") {
     }
 }
 
+namespace {
+
+constexpr double wide_node_cost = 6;
+
+/// Children of a wide node in the simple way: opening the largest box again and again.
+std::vector<uint32_t> open_largest(const BinaryTree& tree, uint32_t n, size_t width) {
+    std::vector<uint32_t> list{tree.nodes[n].left, tree.nodes[n].right};
+    while (list.size() < width) {
+        auto best = list.end();
+        for (auto i = list.begin(); i != list.end(); ++i)
+            if (!tree.nodes[*i].leaf() &&
+                (best == list.end() ||
+                 half_area(tree.nodes[*i].bounds) > half_area(tree.nodes[*best].bounds)))
+                best = i;
+        if (best == list.end()) break;
+        const BinaryTree::Node& node = tree.nodes[*best];
+        *best = node.left;
+        list.push_back(node.right);
+    }
+    return list;
+}
+
+/// By the area heuristic, of the wide tree whose nodes have the children that `children_of` names.
+template <class F>
+double wide_cost(const BinaryTree& tree, const TreeCosts& costs, size_t width,
+                 const F& children_of) {
+    const double root = half_area(tree.nodes[0].bounds);
+    double sum = 0;
+    uint64_t shapes = 0;
+    std::vector<uint32_t> open{0};
+    while (!open.empty()) {
+        const uint32_t n = open.back();
+        open.pop_back();
+        const double share = half_area(tree.nodes[n].bounds) / root;
+        if (tree.nodes[n].leaf()) {
+            sum += share * costs.leaf(0, tree.nodes[n].count);
+            shapes += tree.nodes[n].count;
+            continue;
+        }
+        sum += share * wide_node_cost;
+        const std::vector<uint32_t> children = children_of(n);
+        REQUIRE(children.size() >= 2);
+        REQUIRE(children.size() <= width);
+        open.insert(open.end(), children.begin(), children.end());
+    }
+    CHECK(shapes == tree.order.size());
+    return sum;
+}
+
+/// @return the cost of the collapsed tree
+template <int W>
+double check_collapse(const BinaryTree& tree, const TreeCosts& costs) {
+    INFO("width " << W);
+    const WideCollapse<W> collapse(tree, costs, wide_node_cost, {});
+    const double planned = wide_cost(tree, costs, W, [&](uint32_t n) {
+        const auto children = collapse.children(n);
+        return std::vector<uint32_t>(children.begin(), children.end());
+    });
+    CHECK(planned == Approx(collapse.expected_cost()).epsilon(1e-9));
+    const double simple =
+        wide_cost(tree, costs, W, [&](uint32_t n) { return open_largest(tree, n, W); });
+    CHECK(planned <= simple * (1 + 1e-9));
+    return planned;
+}
+
+}  // namespace
+
 TEST_CASE("the cost of a wide tree is what its nodes add up to, and the least of any collapse") {
     for (const auto& [name, set] : triangle_scenes()) {
         const TreeCosts costs = tree_costs<TriangleSet>(cost_constants.wide_node);
         const BinaryTree tree = build_tree(*set, with(TreeBuilder::binned_sah), costs);
-        const double wide_node = 6;
-        const WideCollapse collapse(tree, costs, wide_node, {});
-        const double root = half_area(tree.nodes[0].bounds);
-        if (tree.nodes[0].leaf() || !(root > 0)) continue;
-
-        // Children by the plan, or the simple way: opening the largest box again and again.
-        const auto opened = [&](uint32_t n) {
-            std::vector<uint32_t> list{tree.nodes[n].left, tree.nodes[n].right};
-            while (list.size() < 8) {
-                auto best = list.end();
-                for (auto i = list.begin(); i != list.end(); ++i)
-                    if (!tree.nodes[*i].leaf() &&
-                        (best == list.end() ||
-                         half_area(tree.nodes[*i].bounds) > half_area(tree.nodes[*best].bounds)))
-                        best = i;
-                if (best == list.end()) break;
-                const BinaryTree::Node& node = tree.nodes[*best];
-                *best = node.left;
-                list.push_back(node.right);
-            }
-            return list;
-        };
-        const auto cost = [&](const auto& children_of) {
-            double sum = 0;
-            uint64_t shapes = 0;
-            std::vector<uint32_t> open{0};
-            while (!open.empty()) {
-                const uint32_t n = open.back();
-                open.pop_back();
-                const double share = half_area(tree.nodes[n].bounds) / root;
-                if (tree.nodes[n].leaf()) {
-                    sum += share * costs.leaf(0, tree.nodes[n].count);
-                    shapes += tree.nodes[n].count;
-                    continue;
-                }
-                sum += share * wide_node;
-                const std::vector<uint32_t> children = children_of(n);
-                REQUIRE(children.size() >= 2);
-                REQUIRE(children.size() <= 8);
-                open.insert(open.end(), children.begin(), children.end());
-            }
-            CHECK(shapes == tree.order.size());
-            return sum;
-        };
+        if (tree.nodes[0].leaf() || !(half_area(tree.nodes[0].bounds) > 0)) continue;
         INFO(name);
-        const double planned = cost([&](uint32_t n) {
-            const WideCollapse::Children c = collapse.children(n);
-            return std::vector<uint32_t>(c.begin(), c.end());
-        });
-        CHECK(planned == Approx(collapse.expected_cost()).epsilon(1e-9));
-        CHECK(planned <= cost(opened) * (1 + 1e-9));
+        const double four = check_collapse<4>(tree, costs), eight = check_collapse<8>(tree, costs),
+                     sixteen = check_collapse<16>(tree, costs);
+        CHECK(eight <= four);
+        CHECK(sixteen <= eight);
     }
 }
 
