@@ -102,6 +102,15 @@ class AcceleratedObject final : public Primitive {
             return {};
     }
 
+    std::vector<Bounds3> cover() const override {
+        std::vector<Bounds3> boxes;
+        if constexpr (Opens<Structure, Set>)
+            structure_.visit_children(
+                {}, [&](const Bounds3& box, TraversalStart) { boxes.push_back(box); });
+        else
+            boxes.push_back(bounds());
+        return boxes;
+    }
     std::shared_ptr<const Primitive> part(const std::shared_ptr<const Primitive>& self,
                                           const Bounds3& box,
                                           const TraversalStart& start) const override {

@@ -10,7 +10,17 @@ namespace crofton {
 Instance::Instance(std::shared_ptr<const Primitive> object, const Transform& parent_from_object)
     : object_(std::move(object)),
       frame_(parent_from_object, inverse(parent_from_object).value(), object_->magnitudes()) {
-    set_bounds(transformed(frame_.world_from_object_f, object_->bounds()));
+    // A box of turned boxes is smaller than that of the one turned box that holds them.
+    Bounds3 box;
+    for (const Bounds3& part : object_->cover())
+        box.extend(transformed(frame_.world_from_object_f, part));
+    set_bounds(intersection(box, transformed(frame_.world_from_object_f, object_->bounds())));
+}
+
+std::vector<Bounds3> Instance::cover() const {
+    std::vector<Bounds3> boxes = object_->cover();
+    for (Bounds3& box : boxes) box = transformed(frame_.world_from_object_f, box);
+    return boxes;
 }
 
 bool Instance::is_valid(const Transform& parent_from_object) {

@@ -32,6 +32,7 @@ class Instance final : public Primitive {
     StructureStatistics statistics() const override;
     std::string type_name() const override { return registry_name; }
     void walk(const BoxVisitor& visit) const override;
+    std::vector<Bounds3> cover() const override;
     void children(const std::function<void(const Primitive&)>& visit) const override;
     void archive(StructureWriter& out) const override;
     static std::shared_ptr<const Primitive> load(StructureReader& in);

@@ -142,6 +142,9 @@ class Primitive {
                                                   const TraversalStart&) const {
         return nullptr;
     }
+    /// A few boxes that hold, together, what bounds() holds, and leave out empty corners of it where
+    /// the root of a structure has children. For what turns them: see Instance.
+    virtual std::vector<Bounds3> cover() const { return {bounds()}; }
     /// Largest absolute coordinates of the shapes inside; more than those of the bounds where this
     /// is a part whose shapes stick out of it.
     const Vec3f& magnitudes() const { return magnitudes_; }

@@ -114,6 +114,34 @@ TEST_CASE("quadrics and triangles nest in one structure") {
     }
 }
 
+TEST_CASE("the box of a turned structure leaves out corners that its parts leave empty") {
+    std::vector<Vec3f> p;
+    std::vector<std::array<uint32_t, 3>> t;
+    test::icosphere(3, p, t);
+    const auto mesh = std::make_shared<const TriangleSet>(p, t);
+    const Transform map = translation({3, 2, 1}) * rotation({1, 2, 3}, 0.7);
+    World world;
+    world.add(p, t, map, 0);
+    const auto flat =
+        accelerator("brute_force")
+            .build(std::make_shared<const TriangleSet>(world.positions, world.triangles), {});
+    for (const auto& [name, info] : accelerators()) {
+        const std::shared_ptr<const Primitive> ball = info.build(mesh, {});
+        const Instance once(ball, map);
+        INFO(name);
+        const Bounds3 box = transformed(rounded(map), ball->bounds());
+        CHECK(half_area(once.bounds()) <= half_area(box));
+        if (name == "wide_bvh") CHECK(half_area(once.bounds()) < 0.9 * half_area(box));
+        // Of an instance in an instance, too; and it still holds the mesh.
+        const Instance twice(std::make_shared<const Instance>(ball, rotation({1, 2, 3}, 0.7)),
+                             translation({3, 2, 1}));
+        if (name == "wide_bvh") CHECK(half_area(twice.bounds()) < 0.9 * half_area(box));
+        for (const Instance* instance : {&once, &twice})
+            CHECK(test::different_hits(*flat, *instance,
+                                       test::hard_rays(flat->bounds(), world.positions, 4)) == 0);
+    }
+}
+
 TEST_CASE("thirty-two nested transforms keep the hit of the composed map") {
     std::vector<Vec3f> p;
     std::vector<std::array<uint32_t, 3>> t;
