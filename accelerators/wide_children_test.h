@@ -17,11 +17,14 @@ namespace HWY_NAMESPACE {
 template <class Node>
 using NodeLanes = hn::CappedTag<float, Node::width>;
 
+/// @return bit i: lane i, of 16 at most
 template <class D>
 HWY_INLINE uint32_t lane_bits(D d, hn::Mask<D> mask) {
-    uint8_t b[8] = {};
-    hn::StoreMaskBits(d, mask, b);
-    return uint32_t(b[0]) | uint32_t(b[1]) << 8;
+    uint8_t bytes[8] = {};
+    hn::StoreMaskBits(d, mask, bytes);
+    uint16_t bits;
+    std::memcpy(&bits, bytes, sizeof(bits));
+    return bits;
 }
 
 /// Tests all children of a node, as many at once as a vector has lanes.
