@@ -1,7 +1,8 @@
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
-#include <utility>
 
 #include "accelerators/box4.h"
 #include "accelerators/tree_build.h"
@@ -11,7 +12,7 @@ namespace {
 
 constexpr uint32_t none = ~0u;
 constexpr size_t least_candidates = 1024;
-constexpr int batches = 16;            // of a pass; each sees what the ones before have moved
+constexpr size_t batches = 16;         // of a pass; each sees what the ones before have moved
 constexpr double least_gain = 2.5e-4;  // of the sum of areas: two batches that gain less end a pass
 constexpr uint32_t most_visits = 512;  // of one search: bounds the time where boxes overlap much
 
@@ -34,6 +35,12 @@ struct SearchNode {
         std::copy(l, l + 3, lower);
         std::copy(u, u + 3, upper);
     }
+    /// Half of its surface, in double.
+    double half_area() const {
+        const double x = double(upper[0]) - lower[0], y = double(upper[1]) - lower[1],
+                     z = double(upper[2]) - lower[2];
+        return x * y + y * z + z * x;
+    }
     bool same_box(const Box4& b) const {
         const Box4::D d;
         uint8_t bits[8];
@@ -50,20 +57,43 @@ Box4 merge(Box4 a, const Box4& b) {
     return a;
 }
 
-/// Sorts by a total order: the same for any number of threads.
-template <class Iterator, class Less>
-void parallel_sort(Iterator begin, Iterator end, const Less& less) {
-    if (end - begin < 8192) return std::sort(begin, end, less);
-    const Iterator middle = begin + (end - begin) / 2;
-    parallel_invoke([&] { parallel_sort(begin, middle, less); },
-                    [&] { parallel_sort(middle, end, less); });
-    std::inplace_merge(begin, middle, end, less);
-}
-
 /// A subtree to be moved: it becomes the sibling of `target`.
 struct Move {
     uint32_t node = none, target = none;
     float gain = 0;
+};
+
+/// Nodes that may move, in batches of falling area. Within a batch they are in the order of the
+/// tree, so that a search mostly passes where the one before it did.
+class Batches {
+  public:
+    /// @param areas  negative: such a node can't move
+    /// @param most   nodes in all batches, about
+    Batches(std::span<const float> areas, size_t most) {
+        // By the leading bits of the area, of which there are few: no need to sort.
+        std::vector<uint32_t> count(keys);
+        for (const float a : areas)
+            if (a >= 0) ++count[key(a)];
+        const size_t size = most / batches + 1;
+        std::vector<uint8_t> batch(keys, batches);
+        size_t larger = 0;
+        for (size_t k = keys; k-- > 0 && larger < most;) {
+            batch[k] = uint8_t(std::min(larger / size, batches - 1));
+            larger += count[k];
+        }
+        for (size_t i = 0; i < areas.size(); ++i) {
+            const size_t b = areas[i] >= 0 ? batch[key(areas[i])] : batches;
+            // In a mesh of equal triangles a batch would have most of them.
+            if (b < batches && lists_[b].size() < 2 * size) lists_[b].push_back(uint32_t(i));
+        }
+    }
+    auto begin() const { return lists_.begin(); }
+    auto end() const { return lists_.end(); }
+
+  private:
+    static constexpr size_t keys = size_t{1} << 15;
+    static size_t key(float area) { return std::bit_cast<uint32_t>(area) >> 16; }
+    std::array<std::vector<uint32_t>, batches> lists_;
 };
 
 class Optimiser {
@@ -101,65 +131,71 @@ class Optimiser {
         const bool sane = extent > 0 && std::isfinite(extent);
         const int exponent = sane ? std::clamp(-std::ilogb(extent), -120, 120) : 0;
         scale_ = hn::Set(Box4::D(), std::ldexp(1.0f, exponent));
+        cost_ = sum_chunks<Sum>(0, nodes_.size(), [&](size_t begin, size_t end) {
+                    Sum sum;
+                    for (size_t i = begin; i < end; ++i)
+                        if (!nodes_[i].leaf()) sum.value += nodes_[i].half_area();
+                    return sum;
+                }).value;
     }
 
-    /// @return whether the sum of areas fell; if not, nothing has changed
-    bool pass() {
-        const double before = cost();
-        saved_nodes_ = nodes_;
-        saved_parents_ = parent_;
-        const std::vector<uint32_t> candidates = largest_first();
-        const size_t size = (candidates.size() + batches - 1) / batches;
-        double last = before;
+    /// Half areas of all inner nodes: the part of the area heuristic that moves can change.
+    double cost() const { return cost_; }
+
+    void pass() {
+        const double least = least_gain * cost_;
         int poor = 0;
-        for (size_t begin = 0; begin < candidates.size(); begin += size) {
-            batch(std::span(candidates).subspan(begin, std::min(size, candidates.size() - begin)));
+        for (const std::vector<uint32_t>& batch : largest_first()) {
+            const double before = cost_;
+            move_all(batch);
             // Those that follow are smaller.
-            const double gain = last - cost();
-            poor = gain < least_gain * before ? poor + 1 : 0;
+            poor = before - cost_ < least ? poor + 1 : 0;
             if (poor == 2) break;
-            last -= gain;
         }
-        if (cost() < before) return true;
-        nodes_.swap(saved_nodes_);
-        parent_.swap(saved_parents_);
+    }
+
+    /// Whether a leaf is deeper than BinaryTree::max_depth.
+    bool is_too_deep() const {
+        RawAlignedVector<std::pair<uint32_t, int>> open{{0, 0}};
+        while (!open.empty()) {
+            const auto [i, depth] = open.back();
+            open.pop_back();
+            if (depth > BinaryTree::max_depth) return true;
+            if (nodes_[i].leaf()) continue;
+            open.emplace_back(nodes_[i].right, depth + 1);
+            open.emplace_back(nodes_[i].left, depth + 1);
+        }
         return false;
     }
 
-    /// Of all inner nodes, in double: the part of the area heuristic that moves can change.
-    double cost() const {
-        return sum_chunks<Sum>(0, nodes_.size(),
-                               [&](size_t begin, size_t end) {
-                                   Sum sum;
-                                   for (size_t i = begin; i < end; ++i)
-                                       if (!nodes_[i].leaf()) sum.value += area_of(nodes_[i]);
-                                   return sum;
-                               })
-            .value;
-    }
-
-    /// The nodes as they are now. @param tree  that this was made of
-    RawAlignedVector<BinaryTree::Node> nodes(const BinaryTree& tree) const {
-        RawAlignedVector<BinaryTree::Node> list(nodes_.size());
+    /// Puts the inner nodes, as they are now, into the tree that this was made of.
+    void store(BinaryTree& tree) const {
         parallel_for(nodes_.size(), 1 << 13, [&](size_t begin, size_t end) {
             for (size_t i = begin; i < end; ++i) {
                 const SearchNode& from = nodes_[i];
-                list[i] = tree.nodes[from_[i]];
                 if (from.leaf()) continue;
-                list[i].make_inner(from.left, from.right);
+                BinaryTree::Node& to = tree.nodes[from_[i]];
+                to.make_inner(from_[from.left], from_[from.right]);
                 for (int a = 0; a < 3; ++a)
-                    list[i].bounds.lower[a] = from.lower[a],
-                    list[i].bounds.upper[a] = from.upper[a];
+                    to.bounds.lower[a] = from.lower[a], to.bounds.upper[a] = from.upper[a];
             }
         });
-        return list;
     }
 
   private:
-    struct Entry {
-        uint32_t node;
-        float merged;  // area of the node's box with the moved one
-        float left;    // gain so far: what is saved, less what ancestors grow
+    /// For the best place of a subtree.
+    struct Search {
+        Box4 moved;
+        float own;  // its area
+        Move best;
+        uint32_t visits = 0;
+
+        /// Whether places below a node may be better than the best: none costs less than the
+        /// moved box's own area.
+        bool may_gain(float left) const { return left - own > best.gain; }
+        void found(uint32_t target, float gain) {
+            if (gain > best.gain) best.gain = gain, best.target = target;
+        }
     };
 
     struct Sum {
@@ -167,55 +203,43 @@ class Optimiser {
         void add(const Sum& s) { value += s.value; }
     };
 
-    static double area_of(const SearchNode& n) {
-        const double x = double(n.upper[0]) - n.lower[0], y = double(n.upper[1]) - n.lower[1],
-                     z = double(n.upper[2]) - n.lower[2];
-        return x * y + y * z + z * x;
-    }
     float area(const Box4& b) const {
         const Box4::D d;
+        const hn::Repartition<uint8_t, Box4::D> d8;
+        alignas(16) static constexpr uint8_t yzx[16] = {4, 5, 6, 7, 8, 9, 10, 11,
+                                                        0, 1, 2, 3, 0, 1, 2,  3};
         const auto e = hn::Mul(hn::Sub(b.upper, b.lower), scale_);
-        const auto f = hn::Shuffle0321(e);  // y, z, -, x
-        alignas(16) float p[4], q[4];
-        hn::Store(e, d, p);
-        hn::Store(f, d, q);
-        return p[0] * q[0] + p[1] * q[1] + p[2] * p[0];
+        const auto next =
+            hn::BitCast(d, hn::TableLookupBytes(hn::BitCast(d8, e), hn::Load(d8, yzx)));
+        const auto faces = hn::Mul(e, next);  // xy, yz, zx, -
+        return hn::GetLane(hn::Add(hn::Add(faces, hn::Shuffle2301(faces)), hn::Shuffle1032(faces)));
     }
     uint32_t sibling(uint32_t i) const {
         const SearchNode& p = nodes_[parent_[i]];
         return p.left == i ? p.right : p.left;
     }
 
-    /// The largest quarter of the nodes that can move, by falling area. The others gain little: as
-    /// many searches spent on further passes gain more.
-    std::vector<uint32_t> largest_first() const {
-        std::vector<std::pair<float, uint32_t>> keyed(nodes_.size());
+    /// The largest quarter of the nodes that can move. The others gain little: as many searches
+    /// spent on further passes gain more.
+    Batches largest_first() const {
+        RawAlignedVector<float> areas(nodes_.size());
         parallel_for(nodes_.size(), 1 << 13, [&](size_t begin, size_t end) {
-            for (size_t i = begin; i < end; ++i) {
-                const bool moves = i != 0 && parent_[i] != 0;
-                keyed[i] = {moves ? -area(nodes_[i].box()) : INFINITY, uint32_t(i)};
-            }
+            for (size_t i = begin; i < end; ++i)
+                areas[i] = i != 0 && parent_[i] != 0 ? area(nodes_[i].box()) : -1.0f;
         });
-        // The root and its children, which can't move, come last.
+        // The root and its children can't move.
         const size_t movable = nodes_.size() - 3;
-        const size_t n = std::max(movable / 4, std::min(movable, least_candidates));
-        std::nth_element(keyed.begin(), keyed.begin() + ptrdiff_t(n), keyed.end());
-        keyed.resize(n);
-        parallel_sort(keyed.begin(), keyed.end(), std::less<>());
-        std::vector<uint32_t> list(n);
-        for (size_t i = 0; i < n; ++i) list[i] = keyed[i].second;
-        return list;
+        return Batches(areas, std::max(movable / 4, std::min(movable, least_candidates)));
     }
 
     /// Searches for all of `candidates` at once, then makes the moves that don't meet, best first.
-    void batch(std::span<const uint32_t> candidates) {
+    void move_all(std::span<const uint32_t> candidates) {
         std::vector<Move> moves(candidates.size());
         parallel_for(candidates.size(), 64, [&](size_t begin, size_t end) {
-            std::vector<Entry> stack;
-            for (size_t i = begin; i < end; ++i) moves[i] = best_move(candidates[i], stack);
+            for (size_t i = begin; i < end; ++i) moves[i] = best_move(candidates[i]);
         });
         std::erase_if(moves, [](const Move& m) { return m.target == none; });
-        parallel_sort(moves.begin(), moves.end(), [](const Move& a, const Move& b) {
+        std::sort(moves.begin(), moves.end(), [](const Move& a, const Move& b) {
             return a.gain != b.gain ? a.gain > b.gain : a.node < b.node;
         });
         std::fill(touched_.begin(), touched_.end(), uint8_t{0});
@@ -236,69 +260,66 @@ class Optimiser {
     /// Best place for the subtree x, by branch and bound: up the tree, and down beside the path.
     /// Rounding may make a gain look larger than it is by some u of the areas: gains below that
     /// are none.
-    Move best_move(uint32_t x, std::vector<Entry>& stack) const {
-        const Box4 moved = nodes_[x].box();
-        const float own = area(moved);
-        uint32_t pivot = parent_[x];
-        float saved = area(nodes_[pivot].box());
-        Move best{x, none, saved * 1e-5f};
-        Box4 path = nodes_[sibling(x)].box();
-        uint32_t visits = 0;
-        search_children(sibling(x), saved, moved, own, best, stack, visits);
-        while (pivot != 0) {
-            const uint32_t beside = sibling(pivot), above = parent_[pivot];
-            stack.push_back({beside, area(merge(nodes_[beside].box(), moved)), saved});
-            search(moved, own, best, stack, visits);
+    Move best_move(uint32_t x) const {
+        uint32_t pivot = parent_[x], beside = sibling(x);
+        Box4 path = nodes_[beside].box();
+        float whole = area(nodes_[pivot].box());
+        float saved = whole;
+        Search search{nodes_[x].box(), area(nodes_[x].box()), {x, none, saved * 1e-5f}};
+        look_below(beside, saved - (whole - area(path)), search);
+        while (pivot != 0 && search.visits <= most_visits) {
+            beside = sibling(pivot);
+            const uint32_t above = parent_[pivot];
+            const float below = look_at(beside, saved, search);
+            if (search.may_gain(below)) look_below(beside, below, search);
             path.extend(nodes_[beside].box());
-            const float whole = area(nodes_[above].box());
+            whole = area(nodes_[above].box());
             const float rest = area(path);
             saved += whole - rest;
             // Beside all that is left of this ancestor; its box and the new parent's are whole.
-            if (above != 0 && saved - whole > best.gain) best = {x, above, saved - whole};
+            if (above != 0) search.found(above, saved - whole);
             pivot = above;
-            if (visits > most_visits) break;
             // Where the path is as large without x as with it, nothing more is saved above.
-            if (rest == whole && !(saved - own > best.gain)) break;
+            if (rest == whole && !search.may_gain(saved)) break;
         }
-        return best;
+        return search.best;
     }
 
-    void search_children(uint32_t i, float saved, const Box4& moved, float own, Move& best,
-                         std::vector<Entry>& stack, uint32_t& visits) const {
+    /// Beside node i as a place. @param left  gain before that: saved, less what ancestors grow
+    /// @return the same for places below it; minus infinity for a leaf
+    float look_at(uint32_t i, float left, Search& search) const {
+        ++search.visits;
+        const SearchNode& node = nodes_[i];
+        const Box4 box = node.box();
+        const float merged = area(merge(box, search.moved));
+        search.found(i, left - merged);
+        return node.leaf() ? -std::numeric_limits<float>::infinity() : left - (merged - area(box));
+    }
+
+    /// Places below node i, where they may gain more than the best so far. @param left  as above
+    void look_below(uint32_t i, float left, Search& search) const {
         if (nodes_[i].leaf()) return;
-        const Box4 box = nodes_[i].box();
-        const float left = saved - (area(merge(box, moved)) - area(box));
-        push_children(nodes_[i], left, moved, stack);
-        search(moved, own, best, stack, visits);
-    }
-
-    void push_children(const SearchNode& node, float left, const Box4& moved,
-                       std::vector<Entry>& stack) const {
-        Entry a{node.left, area(merge(nodes_[node.left].box(), moved)), left};
-        Entry b{node.right, area(merge(nodes_[node.right].box(), moved)), left};
-        if (a.merged < b.merged) std::swap(a, b);
-        stack.push_back(a);
-        stack.push_back(b);
-    }
-
-    void search(const Box4& moved, float own, Move& best, std::vector<Entry>& stack,
-                uint32_t& visits) const {
-        while (!stack.empty()) {
-            const Entry e = stack.back();
-            stack.pop_back();
-            // No place in this subtree costs less than the moved box's own area.
-            if (!(e.left - own > best.gain)) continue;
-            if (++visits > most_visits) break;
-            if (e.left - e.merged > best.gain) {
-                best.gain = e.left - e.merged;
-                best.target = e.node;
+        struct Entry {
+            uint32_t node;
+            float left;
+        };
+        // No deeper than any tree that is kept; two children a level at most.
+        std::array<Entry, 2 * BinaryTree::max_depth> stack;
+        size_t size = 0;
+        Entry next{i, left};
+        while (true) {
+            const SearchNode& node = nodes_[next.node];
+            Entry a{node.left, look_at(node.left, next.left, search)};
+            Entry b{node.right, look_at(node.right, next.left, search)};
+            if (a.left > b.left) std::swap(a, b);
+            if (size < stack.size() && search.may_gain(a.left)) stack[size++] = a;
+            next = b;
+            while (!search.may_gain(next.left)) {
+                if (size == 0) return;
+                next = stack[--size];
             }
-            const SearchNode& node = nodes_[e.node];
-            if (node.leaf()) continue;
-            const float left = e.left - (e.merged - area(node.box()));
-            if (left - own > best.gain) push_children(node, left, moved, stack);
+            if (search.visits > most_visits) return;
         }
-        stack.clear();
     }
 
     bool is_inside(uint32_t i, uint32_t subtree) const {
@@ -321,7 +342,9 @@ class Optimiser {
         nodes_[p].left = m.target;
         nodes_[p].right = m.node;
         parent_[m.target] = parent_[m.node] = p;
+        cost_ -= nodes_[p].half_area();
         nodes_[p].set_box(merge(nodes_[m.target].box(), nodes_[m.node].box()));
+        cost_ += nodes_[p].half_area();
         refit(parent_[p]);
     }
 
@@ -329,14 +352,17 @@ class Optimiser {
         for (; i != none; i = parent_[i]) {
             const Box4 box = merge(nodes_[nodes_[i].left].box(), nodes_[nodes_[i].right].box());
             if (nodes_[i].same_box(box)) return;
+            cost_ -= nodes_[i].half_area();
             nodes_[i].set_box(box);
+            cost_ += nodes_[i].half_area();
         }
     }
 
-    RawAlignedVector<SearchNode> nodes_, saved_nodes_;
-    RawAlignedVector<uint32_t> parent_, saved_parents_;
+    RawAlignedVector<SearchNode> nodes_;
+    RawAlignedVector<uint32_t> parent_;
     RawAlignedVector<uint32_t> from_;  // the nodes' indices in the tree
-    std::vector<uint8_t> touched_;     // by a move of the batch
+    double cost_;
+    std::vector<uint8_t> touched_;  // by a move of the batch
     Box4::V scale_;
 };
 
@@ -346,17 +372,18 @@ void reinsert(BinaryTree& tree, int passes) {
     if (tree.nodes.size() < 7 || passes <= 0) return;
     Optimiser optimiser(tree);
     const double before = optimiser.cost();
-    double cost = before;
     for (int i = 0; i < passes; ++i) {
-        if (!optimiser.pass()) break;
-        const double last = std::exchange(cost, optimiser.cost());
-        if (last - cost < 1e-4 * last) break;
+        const double last = optimiser.cost();
+        optimiser.pass();
+        if (last - optimiser.cost() < 1e-4 * last) break;
     }
-    if (!(cost < before)) return;
+    if (!(optimiser.cost() < before)) return;
+    if (!optimiser.is_too_deep()) return optimiser.store(tree);
     BinaryTree moved;
-    moved.nodes = optimiser.nodes(tree);
-    if (!limit_depth(moved) || inner_area(moved) <= inner_area(tree))
-        tree.nodes = std::move(moved.nodes);
+    moved.nodes = tree.nodes;
+    optimiser.store(moved);
+    limit_depth(moved);
+    if (inner_area(moved) <= inner_area(tree)) tree.nodes.swap(moved.nodes);
 }
 
 }  // namespace crofton
