@@ -93,26 +93,4 @@ struct ReferenceBounds {
     }
 };
 
-/// Size of the chunks that n references are worked on in: it does not depend on the threads.
-inline size_t chunk_size(size_t n) {
-    constexpr size_t chunks = 16, least = 8192;
-    return n < 2 * least ? std::max<size_t>(n, 1) : (n + chunks - 1) / chunks;
-}
-
-/// Sums chunks of [begin, end) with `body(begin, end) -> T` and T::add, in order of the chunks,
-/// which do not depend on the number of threads: the same bits always.
-template <class T, class Body>
-T sum_chunks(size_t begin, size_t end, const Body& body) {
-    const size_t n = end - begin, size = chunk_size(n);
-    if (n <= size) return body(begin, end);
-    const size_t chunks = (n + size - 1) / size;
-    std::vector<T> parts(chunks);
-    parallel_for(chunks, 1, [&](size_t from, size_t to) {
-        for (size_t i = from; i < to; ++i)
-            parts[i] = body(std::min(end, begin + i * size), std::min(end, begin + (i + 1) * size));
-    });
-    for (size_t i = 1; i < chunks; ++i) parts[0].add(parts[i]);
-    return parts[0];
-}
-
 }  // namespace crofton

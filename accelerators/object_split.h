@@ -1,4 +1,13 @@
-#pragma once
+// What builders that look for planes between bins of centroids have in common; included once per
+// target.
+#if defined(CROFTON_ACCELERATORS_OBJECT_SPLIT_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CROFTON_ACCELERATORS_OBJECT_SPLIT_H_
+#undef CROFTON_ACCELERATORS_OBJECT_SPLIT_H_
+#else
+#define CROFTON_ACCELERATORS_OBJECT_SPLIT_H_
+#endif
+
+#include <hwy/highway.h>
 
 #include <algorithm>
 #include <array>
@@ -6,28 +15,173 @@
 #include <limits>
 #include <span>
 
-#include "accelerators/box4.h"
+#include "accelerators/binary_tree.h"
 
+HWY_BEFORE_NAMESPACE();
 namespace crofton {
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
 
-inline constexpr int max_bins = 64;
+constexpr int max_bins = 64;
 
 /// Bins for a node of n references: where there are few, few planes between them differ.
 inline int bins_for(size_t n, int bins) {
-    return std::min({bins, max_bins, int(4 + std::min<size_t>(n / 4, max_bins))});
+    return std::min({bins, max_bins, int(4 + std::min<size_t>(n / 8, max_bins))});
 }
 
-/// The three axes; a box's fourth lane means nothing, and as a denormal number it would be slow.
-inline Box4::V first_three_lanes(Box4::V v) {
-    namespace hn = hwy::HWY_NAMESPACE;
-    return hn::IfThenElseZero(hn::FirstN(Box4::D(), 3), v);
-}
+/// A box between loops, as Box8 has it in registers: the lower corner, and the upper one negated.
+/// Empty at first.
+struct StoredBox {
+    alignas(32) float v[8];
+    StoredBox() { std::fill_n(v, 8, std::numeric_limits<float>::infinity()); }
+    void extend(const StoredBox& b) {
+        for (int i = 0; i < 8; ++i) v[i] = std::min(v[i], b.v[i]);
+    }
+    Bounds3 bounds() const { return {{v[0], v[1], v[2]}, {-v[4], -v[5], -v[6]}}; }
+    double half_area() const { return crofton::half_area(bounds()); }
+};
+
+/// A box in registers, one of eight lanes or two of four: the lower corner, and the upper one
+/// negated, so that one minimum extends both. The fourth lanes mean nothing.
+class Box8 {
+  public:
+    using D = hn::CappedTag<float, 8>;
+    using D4 = hn::FixedTag<float, 4>;
+    using V4 = hn::Vec<D4>;
+
+    HWY_INLINE Box8() {
+        for (auto& v : v_) v = hn::Inf(D());
+    }
+    explicit HWY_INLINE Box8(const StoredBox& b) : Box8(b.v) {}
+    /// @param v  eight floats, on 32 bytes
+    explicit HWY_INLINE Box8(const float* v) {
+        for (size_t i = 0; i < parts; ++i) v_[i] = hn::Load(D(), v + i * lanes);
+    }
+    explicit HWY_INLINE Box8(V4 point) : Box8(point, hn::Neg(point)) {}
+    HWY_INLINE void store(float* v) const {
+        for (size_t i = 0; i < parts; ++i) hn::Store(v_[i], D(), v + i * lanes);
+    }
+    HWY_INLINE StoredBox stored() const {
+        StoredBox b;
+        store(b.v);
+        return b;
+    }
+
+    HWY_INLINE void extend(const Box8& b) {
+        for (size_t i = 0; i < parts; ++i) v_[i] = hn::Min(v_[i], b.v_[i]);
+    }
+    /// What is left of it in another.
+    HWY_INLINE void limit(const Box8& b) {
+        for (size_t i = 0; i < parts; ++i) v_[i] = hn::Max(v_[i], b.v_[i]);
+    }
+    HWY_INLINE V4 lower() const {
+#if HWY_CAP_GE256
+        return hn::LowerHalf(D4(), v_[0]);
+#else
+        return v_[0];
+#endif
+    }
+    HWY_INLINE V4 negated_upper() const {
+#if HWY_CAP_GE256
+        return hn::UpperHalf(D4(), v_[0]);
+#else
+        return v_[1];
+#endif
+    }
+    HWY_INLINE V4 upper() const { return hn::Neg(negated_upper()); }
+    HWY_INLINE V4 extent() const { return hn::Neg(negated_extent()); }
+    HWY_INLINE V4 negated_extent() const { return hn::Add(lower(), negated_upper()); }
+    /// Twice the centre.
+    HWY_INLINE V4 centroid2() const { return hn::Sub(lower(), negated_upper()); }
+    /// Not empty on any of the three axes.
+    HWY_INLINE bool valid() const {
+        const auto none = hn::Gt(first_three_lanes(negated_extent()), hn::Zero(D4()));
+        return hn::AllFalse(D4(), none);
+    }
+    /// a where `mask`, else b. @param mask  of whole boxes
+    static HWY_INLINE Box8 either(hn::Mask<D> mask, const Box8& a, const Box8& b) {
+        Box8 r;
+        for (size_t i = 0; i < parts; ++i) r.v_[i] = hn::IfThenElse(mask, a.v_[i], b.v_[i]);
+        return r;
+    }
+    /// The three axes; as a denormal number the fourth lane would be slow.
+    static HWY_INLINE V4 first_three_lanes(V4 v) {
+        return hn::IfThenElseZero(hn::FirstN(D4(), 3), v);
+    }
+
+  private:
+    friend class StoredReference;
+    static constexpr size_t lanes = hn::MaxLanes(D()), parts = 8 / lanes;
+    HWY_INLINE Box8(V4 lower, V4 negated_upper) {
+#if HWY_CAP_GE256
+        v_[0] = hn::Combine(D(), negated_upper, lower);
+#else
+        v_[0] = lower;
+        v_[1] = negated_upper;
+#endif
+    }
+
+    hn::Vec<D> v_[parts];
+};
+
+HWY_INLINE Box8::V4 first_three_lanes(Box8::V4 v) { return Box8::first_three_lanes(v); }
+
+/// A reference in registers, loaded as it is stored: a load across two stores waits for both.
+class StoredReference {
+  public:
+    explicit HWY_INLINE StoredReference(const BuildReference& r) {
+        for (size_t i = 0; i < Box8::parts; ++i)
+            v_[i] = hn::LoadU(D(), r.bounds.lower.data() + i * Box8::lanes);
+    }
+    HWY_INLINE void store(BuildReference& r) const {
+        for (size_t i = 0; i < Box8::parts; ++i)
+            hn::StoreU(v_[i], D(), r.bounds.lower.data() + i * Box8::lanes);
+    }
+    HWY_INLINE Box8 box() const {
+#if HWY_CAP_GE256
+        alignas(32) static constexpr int32_t place[8] = {0, 1, 2, 0, 3, 4, 5, 3};
+        alignas(32) static constexpr float sign[8] = {0, 0, 0, 0, -0.0f, -0.0f, -0.0f, -0.0f};
+        Box8 b;
+        b.v_[0] = hn::Xor(hn::TableLookupLanes(v_[0], hn::SetTableIndices(D(), place)),
+                          hn::Load(D(), sign));
+        return b;
+#else
+        return {v_[0], hn::Neg(hn::CombineShiftRightBytes<12>(D(), v_[1], v_[0]))};
+#endif
+    }
+
+  private:
+    using D = Box8::D;
+    hn::Vec<D> v_[Box8::parts];
+};
+
+/// Bounds of references and of their centroids (doubled).
+struct ReferenceBounds {
+    StoredBox boxes, centroids;
+
+    ReferenceBounds() = default;
+    explicit ReferenceBounds(std::span<const BuildReference> references) {
+        Box8 all, centres;
+        for (const BuildReference& r : references) {
+            const Box8 box = StoredReference(r).box();
+            all.extend(box);
+            centres.extend(Box8(box.centroid2()));
+        }
+        boxes = all.stored();
+        centroids = centres.stored();
+    }
+    void add(const ReferenceBounds& o) {
+        boxes.extend(o.boxes);
+        centroids.extend(o.centroids);
+    }
+};
 
 /// Which bin a reference's centroid is in, on all axes at once.
 class Binning {
   public:
-    Binning(const Box4& centroids, int bins) : lower_(centroids.lower) {
-        namespace hn = hwy::HWY_NAMESPACE;
+    HWY_INLINE Binning(const StoredBox& stored, int bins) {
+        const Box8 centroids(stored);
+        lower_ = centroids.lower();
         const auto extent = first_three_lanes(centroids.extent());
         const auto scale = hn::Div(hn::Set(d, float(bins) * 0.999999f), extent);
         const auto usable = hn::And(hn::Gt(extent, hn::Zero(d)),
@@ -39,8 +193,7 @@ class Binning {
         for (int a = 0; a < 3; ++a) splits_[a] = s[a] > 0;
     }
     /// @param bin  room for 4, aligned to 16 bytes
-    void of(const Box4& box, int32_t* bin) const {
-        namespace hn = hwy::HWY_NAMESPACE;
+    HWY_INLINE void of(const Box8& box, int32_t* bin) const {
         const hn::FixedTag<int32_t, 4> d32;
         const auto x = hn::Floor(hn::Min(hn::Max(place(box), hn::Zero(d)), last_));
         // Added to 2^23, whole numbers are in the lowest bits.
@@ -48,35 +201,30 @@ class Binning {
         hn::Store(hn::And(bits, hn::Set(d32, 255)), d32, bin);
     }
     /// In units of bins, not yet limited to them.
-    Box4::V place(const Box4& box) const {
-        namespace hn = hwy::HWY_NAMESPACE;
+    HWY_INLINE Box8::V4 place(const Box8& box) const {
         return hn::Mul(first_three_lanes(hn::Sub(box.centroid2(), lower_)), scale_);
     }
     /// Whether there is more than one centroid on an axis.
     bool splits(int axis) const { return splits_[axis]; }
 
   private:
-    static constexpr Box4::D d{};
-    Box4::V lower_, scale_, last_;
+    static constexpr Box8::D4 d{};
+    Box8::V4 lower_, scale_, last_;
     bool splits_[3];
 };
 
 /// A node's references by the bins of their centroids on each axis. Not initialised beyond `bins`.
 struct BinTable {
     struct Bin {
-        float lower[4], upper[4];
-        Box4 box() const {
-            namespace hn = hwy::HWY_NAMESPACE;
-            return {hn::Load(Box4::D(), lower), hn::Load(Box4::D(), upper)};
-        }
-        void extend(const Box4& b) {
-            namespace hn = hwy::HWY_NAMESPACE;
-            const Box4::D d;
-            hn::Store(hn::Min(hn::Load(d, lower), b.lower), d, lower);
-            hn::Store(hn::Max(hn::Load(d, upper), b.upper), d, upper);
+        alignas(32) float v[8];
+        HWY_INLINE Box8 box() const { return Box8(v); }
+        HWY_INLINE void extend(const Box8& b) {
+            Box8 sum(v);
+            sum.extend(b);
+            sum.store(v);
         }
     };
-    alignas(16) Bin bin[max_bins][4];         // [bin][axis]
+    Bin bin[max_bins][4];                     // [bin][axis]
     alignas(16) uint32_t count[max_bins][4];  // likewise
     alignas(16) float cost[max_bins][4];      // likewise, where references weigh differently
     int bins;
@@ -111,20 +259,17 @@ struct BinTable {
     void clear(int n, bool by_cost) {
         bins = n;
         weighted = by_cost;
-        const Box4 none;
+        const Box8 none;
         for (int b = 0; b < n; ++b) {
-            for (int a = 0; a < 3; ++a) {
-                hn::Store(none.lower, Box4::D(), bin[b][a].lower);
-                hn::Store(none.upper, Box4::D(), bin[b][a].upper);
-            }
+            for (int a = 0; a < 3; ++a) none.store(bin[b][a].v);
             std::fill_n(count[b], 4, 0u);
             if (weighted) std::fill_n(cost[b], 4, 0.0f);
         }
     }
     /// Every other reference into another table.
     void fill(std::span<const BuildReference> references, const Binning& binning, BinTable& other) {
-        const auto put = [&](auto by_cost, const BuildReference& r, BinTable& table) {
-            const Box4 box(r);
+        const auto put = [&](auto by_cost, const BuildReference& r, BinTable& table) HWY_ATTR {
+            const Box8 box = StoredReference(r).box();
             alignas(16) int32_t place[4];
             binning.of(box, place);
             for (int a = 0; a < 3; ++a) {
@@ -133,7 +278,7 @@ struct BinTable {
                 if constexpr (by_cost.value) table.cost[place[a]][a] += r.cost;
             }
         };
-        const auto put_all = [&](auto by_cost) {
+        const auto put_all = [&](auto by_cost) HWY_ATTR {
             const size_t n = references.size();
             for (size_t i = 0; i + 1 < n; i += 2) {
                 put(by_cost, references[i], *this);
@@ -152,18 +297,19 @@ struct BinTable {
 /// extents overflows.
 class ScaledAreas {
   public:
-    using V = Box4::V;
-    explicit ScaledAreas(const Box4& node) {
-        const Bounds3 b = node.bounds();
-        const float extent = b.extent().maxCoeff();
+    using V = Box8::V4;
+    explicit HWY_INLINE ScaledAreas(const StoredBox& node) {
+        const float extent = node.bounds().extent().maxCoeff();
         const bool sane = extent > 0 && std::isfinite(extent);
         const int e = sane ? std::clamp(-std::ilogb(extent), -120, 120) : 0;
-        scale_ = hn::Set(Box4::D(), std::ldexp(1.0f, e));
+        scale_ = hn::Set(Box8::D4(), std::ldexp(1.0f, e));
     }
     /// Lanes 0 to 2; lane 3 is 0.
-    V of(const Box4& a, const Box4& b, const Box4& c) const {
-        const Box4::D d;
-        const V ea = a.extent(), eb = b.extent(), ec = first_three_lanes(c.extent());
+    HWY_INLINE V of(const Box8& a, const Box8& b, const Box8& c) const {
+        const Box8::D4 d;
+        // Two factors of each product are negated.
+        const V ea = a.negated_extent(), eb = b.negated_extent(),
+                ec = first_three_lanes(c.negated_extent());
         const V low = hn::InterleaveLower(d, ea, eb), high = hn::InterleaveUpper(d, ea, eb);
         const V x = hn::Mul(first_three_lanes(hn::ConcatLowerLower(d, ec, low)), scale_);
         const V y =
@@ -171,7 +317,7 @@ class ScaledAreas {
         const V z = hn::Mul(hn::ConcatUpperLower(d, ec, high), scale_);
         return hn::Add(hn::Add(hn::Mul(x, y), hn::Mul(y, z)), hn::Mul(z, x));
     }
-    float of(const Box4& a) const { return hn::GetLane(of(a, a, a)); }
+    HWY_INLINE float of(const Box8& a) const { return hn::GetLane(of(a, a, a)); }
 
   private:
     V scale_;
@@ -182,7 +328,7 @@ struct ObjectSplit {
     double cost = std::numeric_limits<double>::infinity();  ///< of the node, in nominal ns
     int axis = -1;                                          ///< -1: none found
     int bin = 0;                                            ///< references in bins < bin go left
-    Box4 side[2];                                           ///< boxes of the children
+    StoredBox side[2];                                      ///< boxes of the children
 };
 
 /// Bins or slabs of all axes: what is left of a plane, and what is right of it, may be counted in
@@ -208,7 +354,7 @@ class BinSweep {
 
     /// @param node    box of all references
     /// @param usable  axes
-    ObjectSplit best(const Box4& node, const bool (&usable)[3], const TreeCosts& costs) const {
+    ObjectSplit best(const StoredBox& node, const bool (&usable)[3], const TreeCosts& costs) const {
         const ScaledAreas areas(node);
         const int n = rows_.bins;
         alignas(16) float right_cost[max_bins][4];
@@ -235,29 +381,35 @@ class BinSweep {
             if (usable[a] && sums[a] < sum) sum = sums[a], split.axis = a, split.bin = int(bins[a]);
         if (split.axis < 0) return split;
         // A flat box of no area is met by no line: any split of it is as good.
-        const float area = areas.of(node);
+        const float area = areas.of(Box8(node));
         split.cost = costs.node + (area > 0 ? double(sum) / double(area) : 0.0);
-        for (int b = 0; b < n; ++b)
-            split.side[b >= split.bin].extend(rows_.bin[b][split.axis].box());
+        split.side[0] = union_of(0, split.bin, split.axis);
+        split.side[1] = union_of(split.bin, n, split.axis);
         return split;
     }
 
   private:
-    using V = Box4::V;
-    static constexpr Box4::D d{};
+    using V = Box8::V4;
+    static constexpr Box8::D4 d{};
     static constexpr hn::FixedTag<int32_t, 4> d32{};
     struct Side {
-        Box4 box[3];
-        hn::Vec<hn::FixedTag<int32_t, 4>> count = hn::Zero(hn::FixedTag<int32_t, 4>());
-        V cost = hn::Zero(Box4::D());
+        Box8 box[3];
+        hn::Vec<hn::FixedTag<int32_t, 4>> count;
+        V cost;
+        HWY_INLINE Side() : count(hn::Zero(d32)), cost(hn::Zero(d)) {}
     };
-    void add(Side& side, int b, BinRows::Counts count, BinRows::Costs cost) const {
+    HWY_INLINE StoredBox union_of(int from, int to, int axis) const {
+        Box8 box;
+        for (int b = from; b < to; ++b) box.extend(rows_.bin[b][axis].box());
+        return box.stored();
+    }
+    HWY_INLINE void add(Side& side, int b, BinRows::Counts count, BinRows::Costs cost) const {
         for (int a = 0; a < 3; ++a) side.box[a].extend(rows_.bin[b][a].box());
         side.count = hn::Add(side.count, hn::Load(d32, reinterpret_cast<const int32_t*>(count[b])));
         if (weighted_) side.cost = hn::Add(side.cost, hn::Load(d, cost[b]));
     }
     /// Times area; infinite for none.
-    V cost(const Side& side, const ScaledAreas& areas) const {
+    HWY_INLINE V cost(const Side& side, const ScaledAreas& areas) const {
         const V count = hn::ConvertTo(d, side.count);
         const V leaf = weighted_ ? side.cost
                                  : hn::Add(hn::Mul(block_, hn::Ceil(hn::Div(count, width_))),
@@ -287,9 +439,7 @@ inline ObjectSplit find_object_split(std::span<const BuildReference> references,
 
 inline ReferenceBounds bounds_of(std::span<const BuildReference> references) {
     return sum_chunks<ReferenceBounds>(0, references.size(), [&](size_t begin, size_t end) {
-        ReferenceBounds sum;
-        for (size_t i = begin; i < end; ++i) sum.add(references[i]);
-        return sum;
+        return ReferenceBounds(references.subspan(begin, end - begin));
     });
 }
 
@@ -303,33 +453,32 @@ struct Halves {
 /// Bounds only of the centroids.
 inline Halves divide_chunk(std::span<BuildReference> references, const Binning& binning,
                            const ObjectSplit& split) {
-    const Box4::D d;
-    const hn::RebindToSigned<Box4::D> d32;
+    const Box8::D4 d;
+    const Box8::D d8;
+    const hn::RebindToSigned<Box8::D> d32;
     alignas(16) float bounds[4];
     std::fill_n(bounds, 4, std::numeric_limits<float>::infinity());
     bounds[split.axis] = float(split.bin);
     const auto bound = hn::Load(d, bounds);
-    Box4 left, right;
-    const Box4 none;
+    Box8 left, right;
+    const Box8 none;
     size_t n = 0;
     for (BuildReference& r : references) {
         const StoredReference stored(r);
-        const Box4 box(stored);
-        const auto c = box.centroid2();
+        const Box8 box = stored.box();
+        const Box8 c(box.centroid2());
         const bool goes_right = !hn::AllFalse(d, hn::Ge(binning.place(box), bound));
-        const auto mask = hn::MaskFromVec(hn::BitCast(d, hn::Set(d32, -int32_t(goes_right))));
-        left.lower = hn::Min(left.lower, hn::IfThenElse(mask, none.lower, c));
-        left.upper = hn::Max(left.upper, hn::IfThenElse(mask, none.upper, c));
-        right.lower = hn::Min(right.lower, hn::IfThenElse(mask, c, none.lower));
-        right.upper = hn::Max(right.upper, hn::IfThenElse(mask, c, none.upper));
+        const auto mask = hn::MaskFromVec(hn::BitCast(d8, hn::Set(d32, -int32_t(goes_right))));
+        left.extend(Box8::either(mask, none, c));
+        right.extend(Box8::either(mask, c, none));
         StoredReference(references[n]).store(r);
         stored.store(references[n]);
         n += !goes_right;
     }
     Halves halves;
     halves.left = n;
-    halves.side[0].centroids = left;
-    halves.side[1].centroids = right;
+    halves.side[0].centroids = left.stored();
+    halves.side[1].centroids = right.stored();
     return halves;
 }
 
@@ -401,4 +550,8 @@ inline Halves halve_references(std::span<BuildReference> references, const Refer
     return {middle, {bounds_of(references.first(middle)), bounds_of(references.subspan(middle))}};
 }
 
+}  // namespace HWY_NAMESPACE
 }  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+#endif

@@ -13,7 +13,7 @@ namespace {
 constexpr uint32_t none = ~0u;
 constexpr size_t least_candidates = 1024;
 constexpr size_t batches = 16;         // of a pass; each sees what the ones before have moved
-constexpr double least_gain = 2.5e-4;  // of the sum of areas: two batches that gain less end a pass
+constexpr double least_gain = 1e-3;    // of the sum of areas: two batches that gain less end a pass
 constexpr uint32_t most_visits = 512;  // of one search: bounds the time where boxes overlap much
 
 /// A node as the search reads it.
@@ -375,7 +375,7 @@ void reinsert(BinaryTree& tree, int passes) {
     for (int i = 0; i < passes; ++i) {
         const double last = optimiser.cost();
         optimiser.pass();
-        if (last - optimiser.cost() < 1e-4 * last) break;
+        if (last - optimiser.cost() < least_gain * last) break;
     }
     if (!(optimiser.cost() < before)) return;
     if (!optimiser.is_too_deep()) return optimiser.store(tree);

@@ -1,16 +1,17 @@
+#include "accelerators/tree_build.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "accelerators/tree_split.cpp"
+#include <hwy/foreach_target.h>
+
 #include <hwy/cache_control.h>
 
-#include <algorithm>
-#include <array>
-#include <cmath>
-#include <limits>
-
 #include "accelerators/object_split.h"
-#include "accelerators/tree_build.h"
 #include "framework/triangle_set.h"
 
+HWY_BEFORE_NAMESPACE();
 namespace crofton {
-namespace {
+namespace HWY_NAMESPACE {
 
 constexpr int median_depth = 40;        // from here on, halves by count
 constexpr size_t parallel_size = 2048;  // fewer references are not worth a task
@@ -29,7 +30,7 @@ struct SpatialSplit {
 /// Equal slabs of a node's box on each axis.
 class Slabs {
   public:
-    Slabs(const Box4& box, int n) : count_(n), lower_(box.lower) {
+    HWY_INLINE Slabs(const StoredBox& box, int n) : count_(n), lower_(Box8(box).lower()) {
         const Bounds3 b = box.bounds();
         alignas(16) float scale[4] = {};
         for (int a = 0; a < 3; ++a) {
@@ -39,30 +40,30 @@ class Slabs {
             scale[a] = s;
             for (int k = 0; k < n; ++k) plane_[a][k] = b.lower[a] + extent * (float(k) / float(n));
         }
-        scale_ = hn::Load(Box4::D(), scale);
+        scale_ = hn::Load(Box8::D4(), scale);
     }
     int count() const { return count_; }
     const bool (&usable() const)[3] { return usable_; }
     /// The lower one of slab k.
     float plane(int axis, int k) const { return plane_[axis][k]; }
     /// The slabs that a box lies in. What ends in a plane is below it.
-    void of(const Box4& box, int32_t* first, int32_t* last) const {
-        const Box4::D d;
-        const hn::RebindToSigned<Box4::D> d32;
+    HWY_INLINE void of(const Box8& box, int32_t* first, int32_t* last) const {
+        const Box8::D4 d;
+        const hn::RebindToSigned<Box8::D4> d32;
         const auto most = hn::Set(d, float(count_ - 1));
-        const auto at = [&](Box4::V x) {
+        const auto at = [&](Box8::V4 x) HWY_ATTR {
             return hn::Mul(first_three_lanes(hn::Sub(x, lower_)), scale_);
         };
-        const auto low = hn::Min(hn::Max(hn::Floor(at(box.lower)), hn::Zero(d)), most);
+        const auto low = hn::Min(hn::Max(hn::Floor(at(box.lower())), hn::Zero(d)), most);
         const auto high =
-            hn::Min(hn::Max(hn::Sub(hn::Ceil(at(box.upper)), hn::Set(d, 1)), low), most);
+            hn::Min(hn::Max(hn::Sub(hn::Ceil(at(box.upper())), hn::Set(d, 1)), low), most);
         hn::Store(hn::ConvertTo(d32, low), d32, first);
         hn::Store(hn::ConvertTo(d32, high), d32, last);
     }
 
   private:
     int count_;
-    Box4::V lower_, scale_;
+    Box8::V4 lower_, scale_;
     bool usable_[3];
     float plane_[3][max_slabs];
 };
@@ -70,18 +71,17 @@ class Slabs {
 /// Boxes of what lies in each slab, and how many references begin and end there. Not initialised
 /// beyond `slabs`.
 struct SlabTable {
-    alignas(16) BinTable::Bin bin[max_slabs][4];
+    BinTable::Bin bin[max_slabs][4];
     alignas(16) uint32_t enter[max_slabs][4], leave[max_slabs][4];
     alignas(16) float enter_cost[max_slabs][4], leave_cost[max_slabs][4];
     int slabs;
 
     SlabTable() {}
     explicit SlabTable(int n) : slabs(n) {
-        const Box4 none;
+        const Box8 none;
         for (int s = 0; s < n; ++s)
             for (int a = 0; a < 4; ++a) {
-                hn::Store(none.lower, Box4::D(), bin[s][a].lower);
-                hn::Store(none.upper, Box4::D(), bin[s][a].upper);
+                none.store(bin[s][a].v);
                 enter[s][a] = leave[s][a] = 0;
                 enter_cost[s][a] = leave_cost[s][a] = 0;
             }
@@ -208,7 +208,8 @@ class SplitBuilder {
         return half_area(intersection(split.side[0].bounds(), split.side[1].bounds())) > least;
     }
 
-    SpatialSplit find_spatial_split(std::span<const BuildReference> all, const Box4& box) const {
+    SpatialSplit find_spatial_split(std::span<const BuildReference> all,
+                                    const StoredBox& box) const {
         const Slabs slabs(box, int(std::clamp<size_t>(all.size(), std::min(8, bins_), bins_)));
         const SlabTable table = sum_chunks<SlabTable>(0, all.size(), [&](size_t from, size_t to) {
             SlabTable sum(slabs.count());
@@ -237,7 +238,7 @@ class SplitBuilder {
 
     /// Adds a reference's parts to the slabs that they lie in.
     void chop(const BuildReference& r, const Slabs& slabs, SlabTable& table) const {
-        const Box4 whole(r);
+        const Box8 whole = StoredReference(r).box();
         alignas(16) int32_t first[4], last[4];
         slabs.of(whole, first, last);
         for (int a = 0; a < 3; ++a) {
@@ -259,41 +260,40 @@ class SplitBuilder {
             BuildReference part = r;
             if (s > first) part.bounds.lower[axis] = slabs.plane(axis, s);
             if (s < last) part.bounds.upper[axis] = slabs.plane(axis, s + 1);
-            table.bin[s][axis].extend(Box4(part));
+            table.bin[s][axis].extend(StoredReference(part).box());
         }
     }
 
     /// A slab holds the corners in it and the triangle's sections by its planes, within the
     /// reference's box. Rounded: it serves to compare planes, the cut itself is exact.
-    void chop_triangle(uint32_t shape, const Box4& whole, const Slabs& slabs, int axis, int first,
+    void chop_triangle(uint32_t shape, const Box8& whole, const Slabs& slabs, int axis, int first,
                        int last, SlabTable& table) const {
-        Box4::V corner[3];
+        Box8::V4 corner[3];
         float at[3];
         for (int k = 0; k < 3; ++k) {
             const Vec3f& v = triangles_->vertex(shape, k);
             alignas(16) const float xyz[4] = {v[0], v[1], v[2], 0};
-            corner[k] = hn::Load(Box4::D(), xyz);
+            corner[k] = hn::Load(Box8::D4(), xyz);
             at[k] = v[axis];
         }
-        Box4 part;
+        Box8 part;
         for (int s = first; s <= last; ++s) {
             const float begin = s > first ? slabs.plane(axis, s) : -INFINITY;
             const float end = s < last ? slabs.plane(axis, s + 1) : INFINITY;
             for (int k = 0; k < 3; ++k)
-                if (at[k] >= begin && at[k] <= end) part.extend_point(corner[k]);
-            Box4 section;
+                if (at[k] >= begin && at[k] <= end) part.extend(Box8(corner[k]));
+            Box8 section;
             if (s < last) {
                 for (int k = 0; k < 3; ++k) {
                     const int m = k == 2 ? 0 : k + 1;
                     if ((at[k] < end) == (at[m] < end)) continue;
-                    const auto share = hn::Set(Box4::D(), (end - at[k]) / (at[m] - at[k]));
-                    section.extend_point(
-                        hn::Add(corner[k], hn::Mul(share, hn::Sub(corner[m], corner[k]))));
+                    const auto share = hn::Set(Box8::D4(), (end - at[k]) / (at[m] - at[k]));
+                    section.extend(
+                        Box8(hn::Add(corner[k], hn::Mul(share, hn::Sub(corner[m], corner[k])))));
                 }
                 part.extend(section);
             }
-            part.lower = hn::Max(part.lower, whole.lower);
-            part.upper = hn::Min(part.upper, whole.upper);
+            part.limit(whole);
             if (part.valid()) table.bin[s][axis].extend(part);
             part = section;
         }
@@ -413,11 +413,23 @@ class SplitBuilder {
     BinaryTree::Node* nodes_ = nullptr;
 };
 
-}  // namespace
-
 BinaryTree build_split(BuildReferences references, const ShapeClipper& clipper,
                        const TreeParameters& parameters, const TreeCosts& costs) {
     return SplitBuilder(std::move(references), clipper, parameters, costs).build();
 }
 
+}  // namespace HWY_NAMESPACE
 }  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace crofton {
+HWY_EXPORT(build_split);
+
+BinaryTree build_split(BuildReferences references, const ShapeClipper& clipper,
+                       const TreeParameters& parameters, const TreeCosts& costs) {
+    return HWY_DYNAMIC_DISPATCH(build_split)(std::move(references), clipper, parameters, costs);
+}
+
+}  // namespace crofton
+#endif
