@@ -107,68 +107,84 @@ class Collapse {
           cost_of_shape_(cost_of_shape),
           max_leaf_size_(max_leaf_size),
           parallel_levels_(parallel_levels(tree.nodes.size())),
-          subtrees_(tree.nodes.size()) {}
+          sizes_(tree.nodes.size()) {}
 
     BinaryTree run() {
-        weigh(0, 0);
+        Shapes shapes;
+        const Subtree all = weigh(0, 0, shapes.data());
         BinaryTree out;
-        out.nodes.resize(subtrees_[0].nodes);
-        out.order.resize(subtrees_[0].references);
+        out.nodes.resize(all.size.nodes);
+        out.order.resize(all.size.references);
         out_ = &out;
         emit(0, 0, 0, 0);
         return out;
     }
 
   private:
-    struct Subtree {
-        double cost;     // times area
-        double leaf;     // of all its references, were they one leaf
-        double shapes;   // sum of the costs of their shapes
-        uint32_t nodes;  // after collapsing; 1: a leaf
+    /// Of a subtree after collapsing.
+    struct Size {
+        uint32_t nodes;  // 1: a leaf
         uint32_t references;
+        bool one_block;  // of a leaf
     };
+    struct Subtree {
+        double cost;    // times area
+        double leaf;    // of all its references, were they one leaf
+        double shapes;  // sum of the costs of their shapes
+        Size size;
+    };
+    /// Of two small subtrees, side by side.
+    using Shapes = std::array<uint32_t, size_t{2} * TreeCosts::most_counted>;
 
-    void weigh(uint32_t i, int depth) {
+    /// @param list  receives the shapes, with repeats, of a subtree of TreeCosts::most_counted
+    ///              references at most
+    Subtree weigh(uint32_t i, int depth, uint32_t* list) {
         const BinaryTree::Node& node = tree_.nodes[i];
-        const double area = half_area(node.bounds);
-        Subtree& s = subtrees_[i];
-        if (node.leaf()) {
-            s = {0, 0, 0, 1, node.count};
-            if (costs_.leaf_width == 1)
-                for (uint32_t k = 0; k < node.count; ++k)
-                    s.shapes += cost_of_shape_[tree_.order[node.first + k]];
-            s.leaf = costs_.leaf(s.shapes, std::span(tree_.order).subspan(node.first, node.count));
-            s.cost = area * s.leaf;
-            return;
-        }
-        invoke_both(
-            depth < parallel_levels_, [&] { weigh(node.left, depth + 1); },
-            [&] { weigh(node.right, depth + 1); });
-        const Subtree &l = subtrees_[node.left], &r = subtrees_[node.right];
-        s = {area * costs_.node + l.cost + r.cost, 0, l.shapes + r.shapes, 1 + l.nodes + r.nodes,
-             l.references + r.references};
-        if (s.references > max_leaf_size_) return;
-        s.leaf = one_leaf(i);
-        if (area * s.leaf <= s.cost) s.cost = area * s.leaf, s.nodes = 1;
+        const Subtree s = node.leaf() ? weigh_leaf(node, list) : weigh_inner(node, depth, list);
+        sizes_[i] = s.size;
+        sizes_[i].one_block = s.leaf == costs_.leaf_block;
+        return s;
     }
 
-    /// Cost of a subtree's references as one leaf.
-    double one_leaf(uint32_t i) const {
-        const Subtree& s = subtrees_[i];
-        if (!costs_.blocks) return costs_.leaf(s.shapes, s.references);
-        const BinaryTree::Node& node = tree_.nodes[i];
-        if (s.references > TreeCosts::most_counted)
-            return subtrees_[node.left].leaf + subtrees_[node.right].leaf;
-        std::array<uint32_t, TreeCosts::most_counted> shapes;
-        uint32_t* const end = gather(i, shapes.data());
-        return costs_.leaf(s.shapes, std::span(shapes.data(), end));
+    Subtree weigh_leaf(const BinaryTree::Node& node, uint32_t* list) const {
+        Subtree s{0, 0, 0, {1, node.count, false}};
+        const std::span shapes = std::span(tree_.order).subspan(node.first, node.count);
+        if (costs_.leaf_width == 1)
+            for (const uint32_t shape : shapes) s.shapes += cost_of_shape_[shape];
+        if (shapes.size() <= TreeCosts::most_counted) std::copy(shapes.begin(), shapes.end(), list);
+        s.leaf = costs_.leaf(s.shapes, shapes);
+        s.cost = half_area(node.bounds) * s.leaf;
+        return s;
+    }
+
+    Subtree weigh_inner(const BinaryTree::Node& node, int depth, uint32_t* list) {
+        Shapes beside;
+        Subtree l, r;
+        invoke_both(
+            depth < parallel_levels_, [&] { l = weigh(node.left, depth + 1, list); },
+            [&] { r = weigh(node.right, depth + 1, beside.data()); });
+        const double area = half_area(node.bounds);
+        const Size size{1 + l.size.nodes + r.size.nodes, l.size.references + r.size.references,
+                        false};
+        Subtree s{area * costs_.node + l.cost + r.cost, 0, l.shapes + r.shapes, size};
+        if (size.references > max_leaf_size_) return s;
+        if (costs_.blocks && size.references > TreeCosts::most_counted) {
+            s.leaf = l.leaf + r.leaf;
+        } else {
+            if (size.references <= TreeCosts::most_counted)
+                std::copy_n(beside.data(), r.size.references, list + l.size.references);
+            s.leaf = costs_.blocks ? costs_.leaf(s.shapes, std::span(list, size.references))
+                                   : costs_.leaf(s.shapes, size.references);
+        }
+        if (area * s.leaf <= s.cost) s.cost = area * s.leaf, s.size.nodes = 1;
+        return s;
     }
 
     void emit(uint32_t i, uint32_t to, uint32_t first, int depth) {
         const BinaryTree::Node& node = tree_.nodes[i];
         BinaryTree::Node& out = out_->nodes[to];
         out.bounds = node.bounds;
-        if (subtrees_[i].nodes == 1) {
+        if (sizes_[i].nodes == 1) {
             uint32_t* const begin = out_->order.data() + first;
             uint32_t* end = gather(i, begin);
             // Ascending ids: what a leaf finds does not depend on how it was made. Parts of one
@@ -177,13 +193,11 @@ class Collapse {
             end = std::unique(begin, end);
             out.make_leaf(first, size_t(end - begin));
             // How many blocks shapes fill may depend on their order, but not whether one is enough.
-            if (costs_.blocks)
-                out.blocks() =
-                    subtrees_[i].leaf == costs_.leaf_block ? 1 : costs_.blocks({begin, end});
+            if (costs_.blocks) out.blocks() = sizes_[i].one_block ? 1 : costs_.blocks({begin, end});
             return;
         }
-        out.make_inner(to + 1, to + 1 + subtrees_[node.left].nodes);
-        const uint32_t right_first = first + subtrees_[node.left].references;
+        out.make_inner(to + 1, to + 1 + sizes_[node.left].nodes);
+        const uint32_t right_first = first + sizes_[node.left].references;
         invoke_both(
             depth < parallel_levels_, [&] { emit(node.left, out.left, first, depth + 1); },
             [&] { emit(node.right, out.right, right_first, depth + 1); });
@@ -201,7 +215,7 @@ class Collapse {
     std::span<const float> cost_of_shape_;
     uint32_t max_leaf_size_;
     int parallel_levels_;
-    RawAlignedVector<Subtree> subtrees_;
+    RawAlignedVector<Size> sizes_;
     BinaryTree* out_ = nullptr;
 };
 

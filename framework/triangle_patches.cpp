@@ -88,6 +88,9 @@ class Corners {
     uint32_t count_ = 1;
 };
 
+/// Of so many shapes it is first seen whether they fit together; more hardly ever do.
+constexpr size_t most_at_once = 6;
+
 /// Packs shapes into patches, each filled with the first of those left that fit.
 /// @param patches  where to; not read unless `writes`
 /// @param list     ids of all patches; those of these from `first_id` on
@@ -140,7 +143,34 @@ HWY_INLINE uint32_t pack(const PatchCorners& corners, const uint32_t* shapes, si
     return filled;
 }
 
+/// Whether a few shapes fit into one patch: as many different corners as it has room for.
+HWY_INLINE bool fit_together(const PatchCorners& corners, const uint32_t* shapes, size_t n) {
+    using D = hn::CappedTag<uint32_t, 16>;
+    constexpr size_t lanes = hn::MaxLanes(D());
+    alignas(64) uint32_t numbers[3 * most_at_once / lanes * lanes + lanes];
+    for (size_t i = 0; i < n; ++i) {
+        const PatchCorners::Numbers& t = corners.triangles()[shapes[i]];
+        numbers[3 * i] = t[0], numbers[3 * i + 1] = t[1], numbers[3 * i + 2] = t[2];
+    }
+    uint32_t different = 0;
+    for (uint32_t k = 0; k < 3 * n; ++k) {
+        const auto number = hn::Set(D(), numbers[k]);
+        uint32_t equal = 0;
+        for (size_t i = 0; i <= k; i += lanes) {
+            uint8_t bits[8] = {};
+            hn::StoreMaskBits(D(), hn::Eq(hn::Load(D(), numbers + i), number), bits);
+            equal |= (uint32_t(bits[0]) | uint32_t(bits[1]) << 8) << i;
+        }
+        different += (equal & ((1u << k) - 1)) == 0;  // none before it
+    }
+    return different <= TrianglePatch::width;
+}
+
 uint32_t count_patches(const PatchCorners& corners, const uint32_t* shapes, size_t n) {
+    if (n <= most_at_once) {
+        if (fit_together(corners, shapes, n)) return 1;
+        if (n <= 4) return 2;  // what does not fit into the first are two at most, or one
+    }
     return pack<false>(corners, shapes, n, nullptr, nullptr, 0);
 }
 void write_patches(const PatchCorners& corners, const uint32_t* shapes, size_t n,
