@@ -12,6 +12,7 @@ namespace {
 
 constexpr uint32_t none = ~0u;
 constexpr size_t least_candidates = 1024;
+constexpr size_t least_batch = 256;
 constexpr size_t batches = 16;         // of a pass; each sees what the ones before have moved
 constexpr double least_gain = 1e-3;    // of the sum of areas: two batches that gain less end a pass
 constexpr uint32_t most_visits = 512;  // of one search: bounds the time where boxes overlap much
@@ -74,7 +75,7 @@ class Batches {
         std::vector<uint32_t> count(keys);
         for (const float a : areas)
             if (a >= 0) ++count[key(a)];
-        const size_t size = most / batches + 1;
+        const size_t size = std::max(most / batches + 1, least_batch);
         std::vector<uint8_t> batch(keys, batches);
         size_t larger = 0;
         for (size_t k = keys; k-- > 0 && larger < most;) {

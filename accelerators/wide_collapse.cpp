@@ -1,18 +1,26 @@
 #include "accelerators/wide_collapse.h"
 
+#include <algorithm>
+
 namespace crofton {
 namespace {
 
+/// Of a subtree, by slots of the wide node above it.
+template <int W>
+struct SlotCosts {
+    std::array<double, W + 1> least;  // cost times area, for 1 to `leaves` slots
+    int leaves;                       // of the subtree, but W at most: more slots are of no use
+};
+
 /// Best share of k slots for the left child; of equal ones, the most even.
-template <size_t N>
-uint8_t best_share(const std::array<double, N>& left, const std::array<double, N>& right, int k,
-                   double& cost) {
-    int best = k / 2;
-    cost = left[size_t(best)] + right[size_t(k - best)];
-    for (int i = 1; i < k; ++i) {
-        const double c = left[size_t(i)] + right[size_t(k - i)];
-        if (c < cost) cost = c, best = i;
-    }
+template <int W>
+uint8_t best_share(const SlotCosts<W>& left, const SlotCosts<W>& right, int k, double& cost) {
+    const int first = std::max(1, k - right.leaves), last = std::min(k - 1, left.leaves);
+    const auto of = [&](int i) { return left.least[size_t(i)] + right.least[size_t(k - i)]; };
+    int best = std::clamp(k / 2, first, last);
+    cost = of(best);
+    for (int i = first; i <= last; ++i)
+        if (of(i) < cost) cost = of(i), best = i;
     return uint8_t(best);
 }
 
@@ -22,8 +30,6 @@ uint8_t best_share(const std::array<double, N>& left, const std::array<double, N
 /// as deep as the tree, which is bounded.
 template <int W>
 class WidePlanner {
-    using Costs = std::array<double, W + 1>;  // least cost of a subtree, times area, by slots
-
   public:
     WidePlanner(WideCollapse<W>& collapse, const TreeCosts& costs, double wide_node,
                 std::span<const float> cost_of_shape)
@@ -34,28 +40,31 @@ class WidePlanner {
           cost_of_shape_(cost_of_shape),
           parallel_levels_(parallel_levels(tree_.nodes.size())) {}
 
-    void plan(uint32_t n, int depth, Costs& c) {
+    void plan(uint32_t n, int depth, SlotCosts<W>& c) {
         const BinaryTree::Node& node = tree_.nodes[n];
         const double area = half_area(node.bounds);
         if (node.leaf()) {
-            c.fill(area * leaf(node));
+            c.least[1] = area * leaf(node);
+            c.leaves = 1;
             return;
         }
-        Costs left, right;
+        SlotCosts<W> left, right;
         invoke_both(
             depth < parallel_levels_, [&] { plan(node.left, depth + 1, left); },
             [&] { plan(node.right, depth + 1, right); });
+        c.leaves = std::min(W, left.leaves + right.leaves);
         typename WideCollapse<W>::Plan& p = plans_[n];
-        for (int k = W; k >= 2; --k) {
+        for (int k = c.leaves; k >= 2; --k) {
             double shared;
             p[size_t(k)] = best_share(left, right, k, shared);
-            if (k == W) c[1] = area * wide_node_ + shared;
-            c[size_t(k)] = shared;
-            if (c[1] < shared) {
-                c[size_t(k)] = c[1];
+            if (k == c.leaves) c.least[1] = area * wide_node_ + shared;
+            c.least[size_t(k)] = shared;
+            if (c.least[1] < shared) {
+                c.least[size_t(k)] = c.least[1];
                 p[size_t(k)] |= WideCollapse<W>::own_node;
             }
         }
+        std::fill(p.begin() + c.leaves + 1, p.end(), p[size_t(c.leaves)]);
     }
 
   private:
@@ -79,10 +88,10 @@ template <int W>
 WideCollapse<W>::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
                               std::span<const float> cost_of_shape)
     : tree_(tree), plans_(tree.nodes.size()) {
-    std::array<double, W + 1> root;
+    SlotCosts<W> root;
     WidePlanner<W>(*this, costs, wide_node, cost_of_shape).plan(0, 0, root);
     const double area = half_area(tree.nodes[0].bounds);
-    if (area > 0) expected_cost_ = root[1] / area;
+    if (area > 0) expected_cost_ = root.least[1] / area;
 }
 
 template <int W>
