@@ -120,7 +120,7 @@ template <class Set>
 BuildReferences build_references(const Set& set) {
     BuildReferences references(set.size());
     std::atomic<bool> some_empty = false;
-    parallel_for(set.size(), 1 << 13, [&](size_t begin, size_t end) {
+    parallel_for(set.size(), 1 << 11, [&](size_t begin, size_t end) {
         bool empty = false;
         for (size_t i = begin; i < end; ++i) {
             const uint32_t shape = uint32_t(i);

@@ -41,6 +41,10 @@ struct Box4 {
     Box4() = default;
     Box4(V l, V u) : lower(l), upper(u) {}
     explicit Box4(const BuildReference& r) : Box4(StoredReference(r)) {}
+    explicit Box4(const Bounds3& b)
+        : lower(hwy::HWY_NAMESPACE::LoadU(D(), b.lower.data())),
+          upper(hwy::HWY_NAMESPACE::ShiftRightLanes<1>(
+              D(), hwy::HWY_NAMESPACE::LoadU(D(), b.lower.data() + 2))) {}
     explicit Box4(const StoredReference& r) : lower(r.first), upper(r.upper()) {}
 
     void extend(const Box4& b) {

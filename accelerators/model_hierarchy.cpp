@@ -5,6 +5,7 @@
 #include <hwy/foreach_target.h>
 
 #include "framework/accelerator.h"
+#include "framework/parallel.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
@@ -90,6 +91,8 @@ HWY_AFTER_NAMESPACE();
 CROFTON_ACCELERATOR_KERNELS(ModelHierarchy, ModelHierarchyTraversal, ModelHierarchyParameters)
 
 #if HWY_ONCE
+#include "accelerators/box4.h"
+
 namespace crofton {
 namespace {
 
@@ -204,10 +207,12 @@ class ModelGroups {
         if (out.empty()) out.reserve((end - first) / leaf_size_ + 1);
         for (; first < end; first += std::min(leaf_size_, end - first)) {
             Member leaf{{}, first, std::min(first + leaf_size_, end), none, 0};
+            Box4 box;
             for (uint32_t i = first; i < leaf.end; ++i) {
-                leaf.bounds.extend(shapes_[i].bounds);
+                box.extend(Box4(shapes_[i]));
                 leaf.cost += shapes_[i].cost;
             }
+            leaf.bounds = box.bounds();
             out.push_back(leaf);
         }
     }
@@ -219,51 +224,80 @@ class ModelGroups {
     std::vector<uint32_t> parent_;  ///< or none
 };
 
-template <class Set>
-class ModelWriter {
-  public:
-    ModelWriter(ModelHierarchy<Set>& tree, const Set& set, const ModelHierarchyParameters& p,
-                const BuildReferences& shapes)
-        : tree_(tree),
-          set_(set),
-          shapes_(shapes),
-          merge_(p.merge),
-          by_area_(p.split == OrderSplit::area),
-          groups_(set.groups(), shapes,
-                  std::is_same_v<Set, ObjectSet> ? 1 : uint32_t(p.max_leaf_size)) {}
+struct ModelRules {
+    bool merge, by_area;
+    uint32_t group_levels;  ///< from here down there are no groups
+};
 
-    void write() {
-        struct Open {
-            Run run;
-            uint32_t to, depth;
-        };
-        // About six of a node's eight places are taken.
-        tree_.nodes.reserve(shapes_.size() / groups_.leaf_size() / 5 + 1);
-        tree_.leaves.reserve(shapes_.size());
-        tree_.nodes.emplace_back();
-        std::vector<Open> open{{expand(none, 0), 0, 0}};
-        tree_.box = open.back().run.bounds;
-        while (!open.empty()) {
+/// Nodes of a subtree, whose children are numbered as they are here, and whose leaves are positions
+/// in the order.
+template <class Set>
+class ModelPart {
+  public:
+    /// What a node is to be made of.
+    struct Open {
+        Run run;
+        uint32_t to, depth;
+    };
+
+    ModelPart(const ModelGroups& groups, const ModelRules& rules)
+        : groups_(groups), rules_(rules) {}
+
+    Open whole() {
+        const Run all = expand(none, 0);
+        nodes_.emplace_back();
+        return {all, 0, 0};
+    }
+    /// Shapes below a node that is to be made.
+    uint32_t shapes(const Open& o) const {
+        return members_[o.run.end - 1].end - members_[o.run.begin].first;
+    }
+    /// Room for a subtree over so many shapes.
+    void reserve(uint32_t shapes) {
+        // Groups end with leaves that are not full; about six of a node's eight places are taken.
+        const uint32_t leaves = shapes / groups_.leaf_size() * 3 / 2 + 8;
+        members_.reserve(leaves);
+        nodes_.reserve(leaves / 4);
+    }
+    /// As the root here. @param from  whose members the run is of
+    Open part_of(const ModelPart& from, const Open& o) {
+        members_.assign(from.members_.begin() + o.run.begin, from.members_.begin() + o.run.end);
+        nodes_.emplace_back();
+        return {{0, o.run.size(), o.run.bounds}, 0, o.depth};
+    }
+
+    /// One node; what its children that are no leaves are to be made of, is appended to `open`.
+    void write(const Open& o, std::vector<Open>& open) {
+        ++stats_.N_IN;
+        Runs children = cut(o.run, o.depth);
+        if (rules_.merge) merge(children, o.depth);
+        ModelNode node;
+        for (int i = int(children.size()); i < 8; ++i) set_child(node, i, Bounds3(), 0, 0);
+        for (int i = 0; i < int(children.size()); ++i) {
+            const Run& c = children[i];
+            if (is_leaf(c)) {
+                add_leaf(node, i, members_[c.begin], o.depth + 1);
+                continue;
+            }
+            set_child(node, i, c.bounds, uint32_t(nodes_.size()), 0);
+            open.push_back({c, uint32_t(nodes_.size()), o.depth + 1});
+            nodes_.emplace_back();
+        }
+        nodes_[o.to] = node;
+        cost_ += half_area(o.run.bounds) * ModelHierarchy<Set>::node_cost(children.size());
+    }
+    void write_all(const Open& root) {
+        for (std::vector<Open> open{root}; !open.empty();) {
             const Open o = open.back();
             open.pop_back();
-            ++tree_.stats.N_IN;
-            Runs children = cut(o.run, o.depth);
-            if (merge_) merge(children, o.depth);
-            ModelNode node;
-            for (int i = int(children.size()); i < 8; ++i) set_child(node, i, Bounds3(), 0, 0);
-            for (int i = 0; i < int(children.size()); ++i) {
-                const Run& c = children[i];
-                if (is_leaf(c)) {
-                    add_leaf(node, i, members_[c.begin], o.depth + 1);
-                    continue;
-                }
-                set_child(node, i, c.bounds, uint32_t(tree_.nodes.size()), 0);
-                open.push_back({c, uint32_t(tree_.nodes.size()), o.depth + 1});
-                tree_.nodes.emplace_back();
-            }
-            tree_.nodes[o.to] = node;
+            write(o, open);
         }
     }
+
+    const AlignedVector<ModelNode>& nodes() const { return nodes_; }
+    const StructureStatistics& statistics() const { return stats_; }
+    size_t leaf_room() const { return leaf_room_; }  ///< that Leaves<Set> need
+    double cost() const { return cost_; }            ///< sum of costs times half areas
 
   private:
     bool is_leaf(const Run& r) const { return r.size() == 1 && members_[r.begin].leaf(); }
@@ -271,7 +305,7 @@ class ModelWriter {
     /// The members of a group; of a group in a group in a … without anything beside it, the
     /// innermost's.
     Run expand(uint32_t group, uint32_t depth) {
-        const bool flat = depth >= ModelHierarchy<Set>::group_levels;
+        const bool flat = depth >= rules_.group_levels;
         const uint32_t begin = uint32_t(members_.size());
         groups_.members(group, flat, members_);
         while (members_.size() == begin + 1 && !members_[begin].leaf()) {
@@ -282,9 +316,7 @@ class ModelWriter {
         return run(begin, uint32_t(members_.size()));
     }
     Run run(uint32_t begin, uint32_t end) const {
-        Run r{begin, end, {}};
-        for (uint32_t i = begin; i < end; ++i) r.bounds.extend(members_[i].bounds);
-        return r;
+        return {begin, end, side(begin, end).box.bounds()};
     }
 
     /// At most eight runs in the order; a group that is alone in its run is expanded.
@@ -305,7 +337,7 @@ class ModelWriter {
 
     /// Cuts one run in two: by area the one that costs most, else the longest in equal halves.
     void cut_largest(Runs& runs, uint32_t depth) const {
-        const bool by_area = by_area_ && depth < ModelHierarchy<Set>::group_levels;
+        const bool by_area = rules_.by_area && depth < rules_.group_levels;
         size_t best = runs.size();
         double most = -1;
         for (size_t i = 0; i < runs.size(); ++i) {
@@ -329,17 +361,19 @@ class ModelWriter {
 
     /// What lies on one side of a cut.
     struct Side {
-        Bounds3 bounds;
+        Box4 box;
         double cost = 0;
         void extend(const Side& s) {
-            bounds.extend(s.bounds);
+            box.extend(s.box);
             cost += s.cost;
         }
-        double weight() const { return half_area(bounds) * cost; }
+        /// @pre  not empty
+        double weight() const { return box.half_area() * cost; }
     };
     Side side(uint32_t begin, uint32_t end) const {
         Side s;
-        for (uint32_t i = begin; i < end; ++i) s.extend({members_[i].bounds, members_[i].cost});
+        for (uint32_t i = begin; i < end; ++i)
+            s.extend({Box4(members_[i].bounds), members_[i].cost});
         return s;
     }
 
@@ -368,8 +402,8 @@ class ModelWriter {
                 if (const double sum = lefts[k].weight() + rights[k].weight(); sum < least)
                     least = sum, best = k;
             if (n <= most) {
-                halves[0] = {r.begin, place(best), lefts[best].bounds};
-                halves[1] = {place(best), r.end, rights[best].bounds};
+                halves[0] = {r.begin, place(best), lefts[best].box.bounds()};
+                halves[1] = {place(best), r.end, rights[best].box.bounds()};
                 return;
             }
             left = lefts[best - 1], right = rights[best + 1];
@@ -396,12 +430,13 @@ class ModelWriter {
     }
 
     void add_leaf(ModelNode& node, int i, const Member& leaf, uint32_t depth) {
-        ids_.clear();
-        for (uint32_t s = leaf.first; s < leaf.end; ++s) ids_.push_back(shapes_[s].shape);
-        set_child(node, i, leaf.bounds, tree_.leaves.add(set_, ids_), uint32_t(ids_.size()));
-        ++tree_.stats.N_V;
-        tree_.stats.N_OIV += ids_.size();
-        tree_.stats.depth = std::max(tree_.stats.depth, depth);
+        const uint32_t shapes = leaf.end - leaf.first;
+        set_child(node, i, leaf.bounds, leaf.first, shapes);
+        leaf_room_ += Leaves<Set>::room(shapes);
+        cost_ += half_area(leaf.bounds) * Leaves<Set>::cost(leaf.cost, shapes);
+        ++stats_.N_V;
+        stats_.N_OIV += shapes;
+        stats_.depth = std::max(stats_.depth, depth);
     }
     static void set_child(ModelNode& node, int i, const Bounds3& b, uint32_t index,
                           uint32_t count) {
@@ -413,13 +448,130 @@ class ModelWriter {
         node.count[i] = count;
     }
 
+    const ModelGroups& groups_;
+    const ModelRules rules_;
+    std::vector<Member> members_;  ///< of all groups expanded so far
+    AlignedVector<ModelNode> nodes_;
+    StructureStatistics stats_;
+    size_t leaf_room_ = 0;
+    double cost_ = 0;
+};
+
+/// A tree from parts that are written at once: the nodes at the top, and what is below them.
+template <class Set>
+class ModelWriter {
+  public:
+    ModelWriter(ModelHierarchy<Set>& tree, const Set& set, const ModelHierarchyParameters& p,
+                const BuildReferences& shapes)
+        : tree_(tree),
+          set_(set),
+          shapes_(shapes),
+          groups_(set.groups(), shapes,
+                  std::is_same_v<Set, ObjectSet> ? 1 : uint32_t(p.max_leaf_size)),
+          rules_{p.merge, p.split == OrderSplit::area, ModelHierarchy<Set>::group_levels} {}
+
+    void write() {
+        std::vector<Open> open = write_top();
+        const size_t parts = open.size();
+        // Memory is asked for here, by one thread: what the others free, goes back to the system.
+        for (const Open& o : open)
+            parts_.emplace_back(groups_, rules_).reserve(parts_[0].shapes(o));
+        parallel_for(parts, 1, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i)
+                parts_[1 + i].write_all(parts_[1 + i].part_of(parts_[0], open[i]));
+        });
+        join(open);
+    }
+
+  private:
+    using Part = ModelPart<Set>;
+    using Open = typename Part::Open;
+
+    /// Writes nodes until there are enough subtrees below for all threads, as it does for any
+    /// number of threads; or everything, if that is little.
+    std::vector<Open> write_top() {
+        constexpr size_t subtrees = 16, least_shapes = 2048;
+        parts_.reserve(2 * subtrees);
+        Part& top = parts_.emplace_back(groups_, rules_);
+        top.reserve(uint32_t(shapes_.size()));
+        std::vector<Open> open{top.whole()};
+        tree_.box = open.front().run.bounds;
+        if (shapes_.size() < least_shapes) {
+            top.write_all(open.front());
+            return {};
+        }
+        while (!open.empty() && open.size() < subtrees) {
+            const auto largest = std::max_element(
+                open.begin(), open.end(),
+                [&](const Open& a, const Open& b) { return top.shapes(a) < top.shapes(b); });
+            const Open o = *largest;
+            open.erase(largest);
+            top.write(o, open);
+        }
+        return open;
+    }
+
+    /// Puts all parts into the tree, and packs their leaves. A part's root takes the place that the
+    /// top has for it.
+    /// @param open  what the parts but the first were made of
+    void join(const std::vector<Open>& open) {
+        std::vector<size_t> first_node, first_leaf;
+        size_t nodes = parts_[0].nodes().size(), room = parts_[0].leaf_room();
+        for (size_t i = 0; i < open.size(); ++i) {
+            first_node.push_back(nodes - 1);
+            first_leaf.push_back(room);
+            nodes += parts_[1 + i].nodes().size() - 1;
+            room += parts_[1 + i].leaf_room();
+        }
+        tree_.nodes.resize(nodes);
+        tree_.leaves.resize(room);
+        place(parts_[0], 0, [](uint32_t n) { return n; });
+        parallel_for(open.size(), 1, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i)
+                place(parts_[1 + i], first_leaf[i], [&](uint32_t n) {
+                    return n == 0 ? open[i].to : uint32_t(first_node[i]) + n;
+                });
+        });
+        for (const Part& part : parts_) add_totals(part);
+    }
+
+    /// @param leaf    where the room for the part's leaves begins
+    /// @param number  of a part's node in the tree
+    template <class Number>
+    void place(const Part& part, size_t leaf, const Number& number) {
+        std::vector<uint32_t> ids;
+        for (uint32_t n = 0; n < part.nodes().size(); ++n) {
+            ModelNode& node = tree_.nodes[number(n)] = part.nodes()[n];
+            for (int i = 0; i < 8; ++i) {
+                if (node.count[i] == 0) {
+                    node.index[i] = number(node.index[i]);
+                    continue;
+                }
+                ids.clear();
+                for (uint32_t k = 0; k < node.count[i]; ++k)
+                    ids.push_back(shapes_[node.index[i] + k].shape);
+                tree_.leaves.put(set_, ids, uint32_t(leaf));
+                node.index[i] = uint32_t(leaf);
+                leaf += Leaves<Set>::room(node.count[i]);
+            }
+        }
+    }
+
+    void add_totals(const Part& part) {
+        const StructureStatistics& s = part.statistics();
+        tree_.stats.N_IN += s.N_IN;
+        tree_.stats.N_V += s.N_V;
+        tree_.stats.N_OIV += s.N_OIV;
+        tree_.stats.depth = std::max(tree_.stats.depth, s.depth);
+        tree_.cost += part.cost();
+    }
+
     ModelHierarchy<Set>& tree_;
     const Set& set_;
     const BuildReferences& shapes_;
-    const bool merge_, by_area_;
-    ModelGroups groups_;
-    std::vector<Member> members_;  ///< of all groups expanded so far
-    std::vector<uint32_t> ids_;    ///< of the leaf in hand
+    const ModelGroups groups_;
+    const ModelRules rules_;
+    std::vector<Part> parts_;  ///< the top, then what is below it
 };
 
 }  // namespace
@@ -430,9 +582,8 @@ ModelHierarchy<Set> ModelHierarchy<Set>::build(const Set& set, const ModelHierar
     const BuildReferences shapes = build_references(set);
     if (shapes.empty()) return tree;
     ModelWriter<Set>(tree, set, p, shapes).write();
-    if (tree.nodes.capacity() > tree.nodes.size() + tree.nodes.size() / 4)
-        tree.nodes.shrink_to_fit();
-    tree.cost = expected_cost_from(tree, set, {}, tree.box);
+    const double area = half_area(tree.box);
+    tree.cost = area > 0 ? tree.cost / area : expected_cost_from(tree, set, {}, tree.box);
     tree.stats.bytes = tree.nodes.size() * sizeof(ModelNode) + tree.leaves.bytes();
     return tree;
 }

@@ -62,7 +62,7 @@ struct ModelHierarchy {
     /// 11 more for the longest group in it.
     static constexpr int group_levels = 32, max_depth = group_levels + 2 * 11;
 
-    AlignedVector<ModelNode> nodes;  ///< the root first; empty: no shapes
+    RawAlignedVector<ModelNode> nodes;  ///< the root first; empty: no shapes
     Leaves<Set> leaves;
     Bounds3 box;
     double cost = 0;
@@ -94,6 +94,9 @@ struct ModelHierarchy {
         // As for wide_bvh: a share for each binary node that these children stand for.
         int children = 0;
         visit_children(at, [&](const Bounds3&, TraversalStart) { ++children; });
+        return node_cost(children);
+    }
+    static double node_cost(int children) {
         return cost_constants.wide_node * std::max(children - 1, 1);
     }
     std::span<const uint32_t> references(TraversalStart leaf) const {

@@ -59,6 +59,12 @@ class ReferenceLeaves {
     void put(std::span<const uint32_t> shapes, uint32_t first) {
         std::copy(shapes.begin(), shapes.end(), references_.begin() + first);
     }
+    template <typename Set>
+    void put(const Set&, std::span<const uint32_t> shapes, uint32_t first) {
+        put(shapes, first);
+    }
+    /// What a leaf of so many takes.
+    static uint32_t room(uint32_t shapes) { return shapes; }
     template <class A>
     void archive(A& a) {
         a(references_);

@@ -26,13 +26,21 @@ Vec3f slack_of(const Bounds3& b) {
 TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids,
                          ShapeGroups groups)
     : triangles_(std::move(triangles)), ids_(std::move(ids)), groups_(std::move(groups)) {
-    for (size_t i = 0; i < triangles_.size(); ++i)
-        for (uint32_t index : triangles_[i])
-            if (index >= positions.size())
-                throw InputError("triangle " + std::to_string(i) + ": vertex index " +
-                                 std::to_string(index) + " of " + std::to_string(positions.size()));
+    Indices most{0, 0, 0};
+    for (const Indices& t : triangles_)
+        for (size_t k = 0; k < 3; ++k) most[k] = std::max(most[k], t[k]);
+    if (!triangles_.empty() && std::max({most[0], most[1], most[2]}) >= positions.size())
+        refuse_indices(positions.size());
     positions.push_back(Vec3f::Zero());
     own(std::move(positions));
+}
+
+void TriangleSet::refuse_indices(size_t positions) const {
+    for (size_t i = 0; i < triangles_.size(); ++i)
+        for (uint32_t index : triangles_[i])
+            if (index >= positions)
+                throw InputError("triangle " + std::to_string(i) + ": vertex index " +
+                                 std::to_string(index) + " of " + std::to_string(positions));
 }
 
 TriangleSet TriangleSet::subset(std::span<const uint32_t> shapes) const {
@@ -48,7 +56,16 @@ TriangleSet TriangleSet::subset(std::span<const uint32_t> shapes) const {
 }
 
 bool TriangleSet::active(uint32_t i) const {
-    return vertex(i, 0).allFinite() && vertex(i, 1).allFinite() && vertex(i, 2).allFinite();
+    // Zero times what is not finite is NaN; the fourth lane is of no vertex.
+    const hn::FixedTag<float, 4> d;
+    const float* const at = coordinates();
+    const auto zeros = [&](size_t k) {
+        return hn::Mul(hn::LoadU(d, at + size_t{3} * triangles_[i][k]), hn::Zero(d));
+    };
+    const auto sum = hn::Add(hn::Add(zeros(0), zeros(1)), zeros(2));
+    uint8_t bits[8];
+    hn::StoreMaskBits(d, hn::Eq(sum, hn::Zero(d)), bits);
+    return (bits[0] & 7) == 7;
 }
 
 Bounds3 TriangleSet::corner_bounds(uint32_t i) const {
@@ -131,8 +148,14 @@ Bounds3 TriangleSet::clipped_bounds(uint32_t i, const Bounds3& box) const {
 
 uint32_t TriangleLeaves::add(const TriangleSet& set, std::span<const uint32_t> shapes) {
     const uint32_t first = uint32_t(blocks_.size());
+    blocks_.resize(first + room(uint32_t(shapes.size())));
+    put(set, shapes, first);
+    return first;
+}
+
+void TriangleLeaves::put(const TriangleSet& set, std::span<const uint32_t> shapes, uint32_t first) {
     for (size_t i = 0; i < shapes.size(); i += width) {
-        TriangleBlock<width>& block = blocks_.emplace_back();
+        TriangleBlock<width>& block = blocks_[first + i / width];
         const size_t used = std::min<size_t>(width, shapes.size() - i);
         for (size_t lane = 0; lane < used; ++lane) {
             block.id[lane] = shapes[i + lane];
@@ -148,11 +171,10 @@ uint32_t TriangleLeaves::add(const TriangleSet& set, std::span<const uint32_t> s
                     block.v[k][a][lane] = std::numeric_limits<float>::quiet_NaN();
         }
     }
-    return first;
 }
 
 double TriangleLeaves::cost(double, uint32_t count) {
-    return cost_constants.triangle_block * ((count + width - 1) / width);
+    return cost_constants.triangle_block * room(count);
 }
 
 namespace {

@@ -59,6 +59,8 @@ class TriangleSet {
 
   private:
     Bounds3 corner_bounds(uint32_t i) const;
+    /// @throws InputError  which triangle has an index too large
+    void refuse_indices(size_t positions) const;
     void own(std::vector<Vec3f> positions) {
         positions_ = std::make_shared<const std::vector<Vec3f>>(std::move(positions));
         vertices_ = positions_->data();
@@ -91,6 +93,11 @@ class TriangleLeaves {
     void reserve(size_t triangles) { blocks_.reserve(triangles / width + triangles / 64 + 1); }
     /// Appends a leaf. @return its first block
     uint32_t add(const TriangleSet& set, std::span<const uint32_t> shapes);
+    /// Makes room for so many blocks; `put` fills it, in any order.
+    void resize(size_t blocks) { blocks_.resize(blocks); }
+    void put(const TriangleSet& set, std::span<const uint32_t> shapes, uint32_t first);
+    /// Blocks of a leaf of so many triangles.
+    static uint32_t room(uint32_t triangles) { return (triangles + width - 1) / width; }
     template <class A>
     void archive(A& a) {
         a(blocks_);
@@ -102,7 +109,7 @@ class TriangleLeaves {
     static constexpr bool keeps_set = false;  ///< the set itself is not read in traversal
 
   private:
-    AlignedVector<TriangleBlock<width>> blocks_;
+    RawAlignedVector<TriangleBlock<width>> blocks_;
 };
 
 /// The watertight test of one triangle, with edge signs decided in double and t, u, v computed in

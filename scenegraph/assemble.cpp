@@ -1,5 +1,6 @@
 #include "scenegraph/assemble.h"
 
+#include <atomic>
 #include <chrono>
 #include <map>
 #include <tuple>
@@ -8,6 +9,7 @@
 #include "framework/error.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
+#include "framework/parallel.h"
 #include "framework/polygon_set.h"
 #include "framework/quadric_set.h"
 #include "framework/triangle_set.h"
@@ -249,6 +251,7 @@ class Assembler {
         std::vector<ObjectSet::Object> others;
         const std::vector<MeshInstance> placed = mesh_instances(scene_);
         std::vector<uint32_t> first_triangle;
+        builder.reserve(placed);
         for (uint32_t i = 0; i < placed.size(); ++i) {
             const MeshInstance& p = placed[i];
             first_triangle.push_back(uint32_t(builder.triangles()));
@@ -281,11 +284,18 @@ class Assembler {
     }
 
     void count_inactive(const PrimitiveSet& set) {
+        constexpr size_t grain = 1 << 14;
+        std::atomic<uint64_t> inactive = 0;
         std::visit(
             [&](const auto& s) {
-                for (uint32_t i = 0; i < s->size(); ++i) result_.inactive_shapes += !s->active(i);
+                parallel_for(s->size(), grain, [&](size_t begin, size_t end) {
+                    uint64_t count = 0;
+                    for (size_t i = begin; i < end; ++i) count += !s->active(uint32_t(i));
+                    inactive += count;
+                });
             },
             set);
+        result_.inactive_shapes += inactive;
     }
 
     void note(const std::string& path, const Choice& choice, uint64_t shapes, const Primitive& p) {

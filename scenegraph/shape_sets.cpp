@@ -18,6 +18,21 @@ QuadricShape quadric_shape(const Quadric& quadric) {
     return {QuadricKind::disc, d.center, d.radius, d.normal, d.inner_radius};
 }
 
+void ShapeSetBuilder::reserve(std::span<const MeshInstance> placed) {
+    size_t positions = 0, triangles = 0;
+    for (const MeshInstance& p : placed)
+        for (const uint32_t g : scene_.meshes[p.mesh].geometries)
+            if (const auto* m = std::get_if<TriangleMesh>(&scene_.geometries[g].shapes))
+                positions += m->positions.size(), triangles += m->triangles.size();
+    reserve_triangles(positions, triangles);
+}
+
+/// One position more: sets end with a dummy.
+void ShapeSetBuilder::reserve_triangles(size_t positions, size_t triangles) {
+    positions_.reserve(positions + 1);
+    triangles_.reserve(triangles);
+}
+
 bool ShapeSetBuilder::add_mesh(uint32_t mesh, const Transform* world_from_object, uint32_t instance,
                                Kinds kinds) {
     FloatTransform map;
@@ -50,7 +65,10 @@ void ShapeSetBuilder::add(const TriangleMesh& mesh, const FloatTransform* map) {
     if (base + mesh.positions.size() > UINT32_MAX ||
         triangles_.size() + mesh.triangles.size() >= no_id)
         throw InputError(scene_.source + ": more than 2^32 vertices or triangles in one set");
-    for (const Vec3f& p : mesh.positions) positions_.push_back(map ? apply(*map, p) : p);
+    if (positions_.empty()) reserve_triangles(mesh.positions.size(), mesh.triangles.size());
+    if (!map) positions_.insert(positions_.end(), mesh.positions.begin(), mesh.positions.end());
+    if (map)
+        for (const Vec3f& p : mesh.positions) positions_.push_back(apply(*map, p));
     for (const auto& t : mesh.triangles)
         triangles_.push_back({uint32_t(base + t[0]), uint32_t(base + t[1]), uint32_t(base + t[2])});
     shapes_ += mesh.triangles.size();

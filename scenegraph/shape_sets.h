@@ -1,5 +1,6 @@
 #pragma once
 
+#include <span>
 #include <vector>
 
 #include "framework/primitive_sets.h"
@@ -20,6 +21,9 @@ class ShapeSetBuilder {
 
     enum Kinds { all, all_but_triangles };
 
+    /// Room for the triangles of all of these.
+    void reserve(std::span<const MeshInstance> placed);
+
     /// Adds a mesh. With a transform, triangles are baked (mapped as an Instance would map them, to
     /// the same bits) and other shapes are not added.
     /// @param instance  offset of the ids
@@ -36,6 +40,7 @@ class ShapeSetBuilder {
     std::vector<PrimitiveSet> take();
 
   private:
+    void reserve_triangles(size_t positions, size_t triangles);
     void add(const TriangleMesh& mesh, const FloatTransform* map);
     void add(const Quadrics& quadrics);
     void add(const Polygons& polygons);
