@@ -32,26 +32,24 @@ struct WideBvhTraversal {
         return bvh.nodes.format() == WideFormat::full;
     }
     template <Query Q, class Set>
-    static bool run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
-        NoCounters none;
-        const auto alone = [&](uint32_t r) HWY_ATTR {
-            packet.found[r] =
-                run<Q>(bvh, set, packet.local[r], packet.query[r], none) || packet.found[r];
+    static void run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
+        if (bvh.box.empty()) return;
+        const auto alone = [&](const LocalRay& ray, RayQuery& query, uint32_t child) HWY_ATTR {
+            NoCounters none;
+            return run<Q>(bvh, set, ray, query, none, {child, 0});
         };
-        const auto trace = [&](const auto& leaves) HWY_ATTR {
-            return bvh.nodes.visit_full([&](const auto* nodes) HWY_ATTR {
-                return trace_packet<Q>(bvh, nodes, leaves, set, packet, alone);
+        with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
+            bvh.nodes.visit_full([&](const auto* nodes) HWY_ATTR {
+                PacketTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
+                                std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, packet)
+                    .run(alone);
             });
-        };
-        if (with_leaves(bvh, trace)) return true;
-        for (uint32_t r = 0; r < packet.count; ++r)
-            if (!packet.found[r]) alone(r);
-        return false;
+        });
     }
 
   private:
     template <class Set, class F>
-    static HWY_INLINE bool with_leaves(const WideBvh<Set>& bvh, const F& f) {
+    static HWY_INLINE auto with_leaves(const WideBvh<Set>& bvh, const F& f) {
         if constexpr (std::is_same_v<Set, TriangleSet>)
             if (bvh.compact) return f(bvh.compact_leaves);
         return f(bvh.leaves);

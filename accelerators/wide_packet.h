@@ -13,113 +13,171 @@ HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
 
-/// Where the first of a packet's rays may enter, and the last may leave, some children of a node
-/// (interval arithmetic: Boulos, Wald, Shirley 2006, "Geometric and arithmetic culling methods for
-/// entire ray packets"). Rounding is monotone: no ray's meet() finds what this one misses.
-template <class Node>
-class PacketChildrenTest {
-  public:
-    explicit HWY_INLINE PacketChildrenTest(const RayPacket& packet, const PacketRays& rays)
-        : offsets_(packet.local[0], offsetof(Node, planes), Node::width * sizeof(float)),
-          rcp_(rays.rcp()),
-          far_rcp_(rays.far_rcp()) {
-        const PacketRays::Ends near = rays.near_origin(), far = rays.far_origin();
-        for (int a = 0; a < 3; ++a) {
-            const bool down = rcp_.low[a] < 0;
-            enter_origin_[a] = down ? near.low[a] : near.high[a];
-            leave_origin_[a] = down ? far.high[a] : far.low[a];
-        }
-    }
+/// A row's end.
+HWY_INLINE float least(const RayPacket::Row& row) {
+    auto all = hn::Load(RayLanes(), row);
+    for (size_t r = hn::MaxLanes(RayLanes()); r < RayPacket::most; r += hn::MaxLanes(RayLanes()))
+        all = hn::Min(all, hn::Load(RayLanes(), row + r));
+    return hn::GetLane(hn::MinOfLanes(RayLanes(), all));
+}
+HWY_INLINE float largest(const RayPacket::Row& row) {
+    auto all = hn::Load(RayLanes(), row);
+    for (size_t r = hn::MaxLanes(RayLanes()); r < RayPacket::most; r += hn::MaxLanes(RayLanes()))
+        all = hn::Max(all, hn::Load(RayLanes(), row + r));
+    return hn::GetLane(hn::MaxOfLanes(RayLanes(), all));
+}
 
-    /// See test_children; t_near is that of the first ray.
-    HWY_INLINE uint32_t part(const Node& node, size_t first, float t_low, float t_cull,
-                             float* HWY_RESTRICT t_near) const {
-        const NodeLanes<Node> d;
-        const auto* const bytes = reinterpret_cast<const char*>(&node);
-        auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
+/// Which of a packet's rays may meet a box.
+/// @param planes  of the box: lower x, y, z, upper x, y, z, every `stride`-th float
+/// @param down    whether directions are negative, by axis
+/// @return bit r: ray r may, see LocalRay
+HWY_INLINE uint32_t meet(const RayPacket& packet, const float* planes, size_t stride,
+                         const bool (&down)[3]) {
+    const RayLanes d;
+    uint32_t hits = 0;
+    for (size_t r = 0; r < RayPacket::most; r += hn::MaxLanes(d)) {
+        auto enter = hn::Load(d, packet.t_low + r), leave = hn::Load(d, packet.t_cull + r);
         for (size_t a = 0; a < 3; ++a) {
-            const auto plane = [&](size_t offset, float origin) HWY_ATTR {
-                const auto at = reinterpret_cast<const float*>(bytes + offset) + first;
-                return hn::Sub(hn::Load(d, at), hn::Set(d, origin));
-            };
-            const auto in = plane(offsets_.enter[a], enter_origin_[a]);
-            const auto out = plane(offsets_.leave[a], leave_origin_[a]);
-            enter = hn::Max(enter, hn::Min(hn::Mul(in, hn::Set(d, rcp_.low[a])),
-                                           hn::Mul(in, hn::Set(d, rcp_.high[a]))));
-            leave = hn::Min(leave, hn::Max(hn::Mul(out, hn::Set(d, far_rcp_.low[a])),
-                                           hn::Mul(out, hn::Set(d, far_rcp_.high[a]))));
+            const auto in = hn::Set(d, planes[stride * (down[a] ? a + 3 : a)]);
+            const auto out = hn::Set(d, planes[stride * (down[a] ? a : a + 3)]);
+            enter = hn::Max(enter, hn::Mul(hn::Sub(in, hn::Load(d, packet.near_origin[a] + r)),
+                                           hn::Load(d, packet.rcp[a] + r)));
+            leave = hn::Min(leave, hn::Mul(hn::Sub(out, hn::Load(d, packet.far_origin[a] + r)),
+                                           hn::Load(d, packet.far_rcp[a] + r)));
         }
-        hn::Store(enter, d, t_near + first);
-        return lane_bits(d, hn::Le(enter, leave));
+        hits |= mask_bits(d, hn::Le(enter, leave)) << r;
     }
+    return hits;
+}
 
-  private:
-    PlaneOffsets offsets_;
-    PacketRays::Ends rcp_, far_rcp_;
-    float enter_origin_[3], leave_origin_[3];
-};
+/// A ray that enters any box no later than the first of a packet's rays, and leaves it no earlier
+/// than the last (interval arithmetic: Boulos, Wald, Shirley 2006, "Geometric and arithmetic
+/// culling methods for entire ray packets").
+///
+/// It starts from the ends of all near and far origins, is the fastest to enter and the slowest to
+/// leave. That is enough since no ray begins before t = 0: a plane behind an origin is left
+/// alone where it is one to enter by, and ends the matter for all rays where it is one to leave by.
+/// The rounding of `ChildrenTest` moves an origin by u·|o|, for which the pad that is in the end of
+/// the origins has room as it has for a single ray.
+HWY_INLINE LocalRay beam_of(const RayPacket& packet) {
+    LocalRay beam{};
+    for (int a = 0; a < 3; ++a) {
+        const bool down = std::signbit(packet.rcp[a][0]);
+        const float low = least(packet.rcp[a]), high = largest(packet.rcp[a]);
+        beam.near_origin[a] = down ? least(packet.near_origin[a]) : largest(packet.near_origin[a]);
+        beam.far_origin[a] = down ? largest(packet.far_origin[a]) : least(packet.far_origin[a]);
+        beam.rcp[a] = down ? high : low;
+        beam.far_rcp[a] = (down ? low : high) * (1 + box_slack);
+    }
+    return beam;
+}
 
 /// A packet goes down the tree as one; at a leaf all its rays are tested against the box at once,
 /// and those that meet it test what is inside: see PacketLeaves. Hits do not depend on which
 /// further leaves are visited, so they are those of single rays.
 ///
 /// A packet goes as far as the last of its rays, and where those go different ways, or one of them
-/// to the horizon, most of what it passes is met by few or none. So it may take `free_visits`, and
-/// two for every ray that has met a leaf.
-/// @param alone  (r): traces ray r by itself, from the root, with what it found so far
-/// @return  false: it took more than that and gave up; its rays have still to be traced, from the
-///          root, with what they found so far
-template <Query Q, class Node, class Set, class Leaves, class F>
-bool trace_packet(const WideBvh<Set>& bvh, const Node* nodes, const Leaves& leaves, const Set& set,
-                  RayPacket& packet, const F& alone) {
-    constexpr int free_visits = 32;
-    if (bvh.box.empty() || packet.count == 0) return true;
-    int visits_left = free_visits;
+/// to the horizon, most of what it passes is met by few or none. So after `free_visits`, and two
+/// for every ray that has met a leaf, it looks which rays meet a node, too, and a few go on from
+/// there alone.
+///
+/// The closest hit is found soonest from near to far. Something in the way is found sooner from far
+/// to near: shadow rays begin on a surface, and pass what is around it, which is hardly ever in
+/// their way, but in every box near their origin.
+template <Query Q, class Node, class Set, class Leaves>
+class PacketTraversal {
+  public:
+    HWY_INLINE PacketTraversal(const Node* nodes, const Leaves& leaves, const Set& set,
+                               RayPacket& packet)
+        : nodes_(nodes),
+          packet_(packet),
+          beam_(beam_of(packet)),
+          boxes_(beam_),
+          leaves_(leaves, set, packet),
+          t_low_(least(packet.t_low)),
+          t_cull_(largest(packet.t_cull)) {
+        for (int a = 0; a < 3; ++a) down_[a] = std::signbit(beam_.rcp[a]);
+    }
+
+    /// @param alone  (ray, query, child): traces a ray from a child on, and returns whether that
+    ///               answered an `any` query
+    template <class F>
+    HWY_INLINE void run(const F& alone) {
+        Open stack[BinaryTree::max_depth * (Node::width - 1) + 1];
+        Open* top = stack;
+        *top++ = {-std::numeric_limits<float>::infinity(), 0, nullptr};
+        while (top > stack) {
+            const Open open = *--top;
+            if (open.t > t_cull_) continue;
+            const bool leaf = WideChild::is_leaf(open.child);
+            if (leaf || --free_visits_ < 0) {
+                const uint32_t rays = meet(packet_, open.planes, Node::width, down_);
+                if (!rays) continue;
+                if (leaf) {
+                    visit_leaf(open.child, rays);
+                    continue;
+                }
+                if (hwy::PopCount(rays) <= few) {
+                    leave_alone(open.child, rays, alone);
+                    continue;
+                }
+            }
+            top = push_children(node_at(nodes_, open.child), top);
+        }
+    }
+
+  private:
+    static constexpr uint32_t few = 2;
     struct Open {
         float t;
         uint32_t child;
         const float* planes;  ///< of the child, every Node::width-th float
     };
-    PacketRays rays(packet);
-    const PacketChildrenTest<Node> boxes(packet, rays);
-    bool down[3];
-    for (int a = 0; a < 3; ++a) down[a] = std::signbit(packet.local[0].rcp[a]);
-    const float t_low = rays.least_t_low();
-    float t_cull = rays.most_t_cull();
-    PacketLeaves<Q, Set, Leaves> at_leaves(leaves, set, packet, rays);
-    Open stack[WideBvh<Set>::max_depth * (Node::width - 1) + 1];
-    Open* top = stack;
-    *top++ = {-INFINITY, 0, nullptr};
-    while (top > stack) {
-        const Open open = *--top;
-        if (open.t > t_cull) continue;
-        if (--visits_left < 0) {
-            at_leaves.finish(alone);
-            return false;
+
+    HWY_INLINE Open* push_children(const Node& node, Open* top) const {
+        alignas(4 * Node::width) float t[Node::width];
+        Open* const base = top;
+        for (uint32_t hits = test_children(boxes_, node, t_low_, t_cull_, t); hits;
+             hits &= hits - 1) {
+            const uint32_t i = lowest(hits);
+            const Open child{t[i], node.child[i], &node.planes[0][0][i]};
+            Open* at = top++;
+            for (; at > base && goes_first(at[-1].t, child.t); --at) *at = at[-1];
+            *at = child;
         }
-        if (!WideChild::is_leaf(open.child)) {
-            const Node& node = node_at(nodes, open.child);
-            alignas(4 * Node::width) float t[Node::width];
-            Open* const base = top;
-            for (uint32_t hits = test_children(boxes, node, t_low, t_cull, t); hits;
-                 hits &= hits - 1) {
-                const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
-                const Open child{t[i], node.child[i], &node.planes[0][0][i]};
-                Open* at = top++;
-                for (; at > base && at[-1].t < child.t; --at) *at = at[-1];
-                *at = child;
-            }
-            continue;
-        }
-        const uint32_t hits = rays.meet(open.planes, Node::width, down);
-        if (!hits) continue;
-        visits_left += 2 * int(hwy::PopCount(hits));
-        if (at_leaves.test(WideChild::first(open.child), WideChild::count(open.child), hits))
-            t_cull = rays.most_t_cull();
+        return top;
     }
-    at_leaves.finish(alone);
-    return true;
-}
+    /// Whether what is entered at `other` is visited before what is entered at t, which is
+    /// to go below it.
+    static HWY_INLINE bool goes_first(float other, float t) {
+        return Q == Query::closest ? other < t : other > t;
+    }
+
+    HWY_INLINE void visit_leaf(uint32_t child, uint32_t rays) {
+        free_visits_ += 2 * int(hwy::PopCount(rays));
+        if (leaves_.test(WideChild::first(child), WideChild::count(child), rays))
+            t_cull_ = largest(packet_.t_cull);
+    }
+    template <class F>
+    HWY_NOINLINE void leave_alone(uint32_t child, uint32_t rays, const F& alone) {
+        bool nearer = false;
+        for (; rays; rays &= rays - 1)
+            nearer |=
+                leaves_.alone(lowest(rays), [&](const LocalRay& ray, RayQuery& query)
+                                                HWY_ATTR { return alone(ray, query, child); });
+        if (nearer) t_cull_ = largest(packet_.t_cull);
+    }
+
+    const Node* const nodes_;
+    RayPacket& packet_;
+    const LocalRay beam_;
+    const ChildrenTest<Node> boxes_;
+    PacketLeaves<Q, Set, Leaves> leaves_;
+    bool down_[3];
+    const float t_low_;
+    float t_cull_;
+    int free_visits_ = 12;
+};
 
 }  // namespace HWY_NAMESPACE
 }  // namespace crofton

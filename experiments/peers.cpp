@@ -90,7 +90,7 @@ class EmbreeObject final : public Primitive {
     }
     /// Sixteen neighbours that go together are one call, with the hint that they do.
     bool takes_packets() const override { return triangles_ != nullptr; }
-    bool closest_packet(RayPacket& packet) const override {
+    void closest_packet(RayPacket& packet) const override {
         RTCRayHit16 r;
         alignas(64) int valid[16];
         fill(packet, r.ray, valid);
@@ -104,13 +104,17 @@ class EmbreeObject final : public Primitive {
         RTCIntersectContext context = coherent();
         rtcIntersect16(valid, scene_, &context, &r);
 #endif
-        for (uint32_t i = 0; i < packet.count; ++i)
-            if (r.hit.geomID[i] != RTC_INVALID_GEOMETRY_ID)
-                packet.query[i].record(r.ray.tfar[i], r.hit.u[i], r.hit.v[i], triangles_->ids(),
-                                       r.hit.primID[i]);
-        return true;
+        packet.ids = &triangles_->ids();
+        for (uint32_t i = 0; i < 16; ++i) {
+            if (!(packet.rays >> i & 1) || r.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
+            packet.t_best[i] = r.ray.tfar[i];
+            packet.u[i] = r.hit.u[i];
+            packet.v[i] = r.hit.v[i];
+            packet.shape[i] = r.hit.primID[i];
+            packet.hit_in_row |= 1u << i;
+        }
     }
-    bool any_packet(RayPacket& packet) const override {
+    void any_packet(RayPacket& packet) const override {
         RTCRay16 r;
         alignas(64) int valid[16];
         fill(packet, r, valid);
@@ -123,8 +127,8 @@ class EmbreeObject final : public Primitive {
         RTCIntersectContext context = coherent();
         rtcOccluded16(valid, scene_, &context, &r);
 #endif
-        for (uint32_t i = 0; i < packet.count; ++i) packet.found[i] = r.tfar[i] < 0;
-        return true;
+        for (uint32_t i = 0; i < 16; ++i)
+            if (packet.rays >> i & 1 && r.tfar[i] < 0) packet.found |= 1u << i;
     }
     void closest_local(const LocalRay& ray, RayQuery& q, Counters&) const override {
         closest_local(ray, q);
@@ -220,13 +224,13 @@ class EmbreeObject final : public Primitive {
     static void fill(const RayPacket& packet, RTCRay16& r, int (&valid)[16]) {
         static_assert(RayPacket::most == 16);
         for (uint32_t i = 0; i < 16; ++i) {
-            valid[i] = i < packet.count ? -1 : 0;
-            const RTCRay one =
-                i < packet.count ? ray_of(packet.local[i], packet.query[i]) : RTCRay{};
-            r.org_x[i] = one.org_x, r.org_y[i] = one.org_y, r.org_z[i] = one.org_z;
-            r.dir_x[i] = one.dir_x, r.dir_y[i] = one.dir_y, r.dir_z[i] = one.dir_z;
-            r.tnear[i] = one.tnear, r.tfar[i] = one.tfar;
-            r.time[i] = 0, r.mask[i] = one.mask, r.id[i] = 0, r.flags[i] = 0;
+            valid[i] = packet.rays >> i & 1 ? -1 : 0;
+            r.org_x[i] = packet.origin[0][i], r.org_y[i] = packet.origin[1][i];
+            r.org_z[i] = packet.origin[2][i];
+            r.dir_x[i] = packet.direction[0][i], r.dir_y[i] = packet.direction[1][i];
+            r.dir_z[i] = packet.direction[2][i];
+            r.tnear[i] = packet.t_min[i], r.tfar[i] = packet.t_best[i];
+            r.time[i] = 0, r.mask[i] = ~0u, r.id[i] = 0, r.flags[i] = 0;
         }
     }
 

@@ -24,7 +24,7 @@ namespace HWY_NAMESPACE {
 ///   template <Query, class Set, class Counters>
 ///   static bool run(structure, set, ray, query, counters)   // true: an `any` query is answered
 /// and, if it traces RayPackets, takes_packets(structure) and run_packet<Query>(structure, set,
-/// packet), which says whether that was worth it.
+/// packet).
 /// Each override holds its own specialised copy of that traversal, so that over triangles a ray
 /// makes no indirect call below the virtual one. Counting is never timed and counts the same on
 /// every target, so counted traversals exist for the baseline only (`run_counted`).
@@ -57,17 +57,13 @@ class AcceleratedObject final : public Primitive {
         else
             return false;
     }
-    bool closest_packet([[maybe_unused]] RayPacket& packet) const override {
+    void closest_packet([[maybe_unused]] RayPacket& packet) const override {
         if constexpr (has_packets)
-            return Traversal::template run_packet<Query::closest>(structure_, *set_, packet);
-        else
-            return false;
+            Traversal::template run_packet<Query::closest>(structure_, *set_, packet);
     }
-    bool any_packet([[maybe_unused]] RayPacket& packet) const override {
+    void any_packet([[maybe_unused]] RayPacket& packet) const override {
         if constexpr (has_packets)
-            return Traversal::template run_packet<Query::any>(structure_, *set_, packet);
-        else
-            return false;
+            Traversal::template run_packet<Query::any>(structure_, *set_, packet);
     }
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
         run_counted(Query::closest, structure_, *set_, ray, query, counters);

@@ -4,6 +4,7 @@
 #include <hwy/cache_control.h>
 
 #include <algorithm>
+#include <bit>
 #include <cassert>
 #include <new>
 #include <unordered_set>
@@ -14,15 +15,6 @@
 
 namespace crofton {
 namespace {
-
-Hit result(const RayQuery& query, float scale) {
-    Hit hit = query.ids();
-    if (!query.hit_ids) return hit;
-    hit.t = query.t_best * scale;
-    hit.u = query.hit_u;
-    hit.v = query.hit_v;
-    return hit;
-}
 
 /// What a query in mode exact has more than others: what is known of the hit, and a frame for the
 /// world too. Under the identity nothing is rounded.
@@ -37,6 +29,24 @@ struct ExactStart {
         local.frame = &world;
     }
 };
+
+/// Calls trace() for a packet's rays that go together, some at a time, as long as there are enough.
+/// @return  bits of the others
+template <class Trace>
+uint32_t take_together(RayPacket& packet, const Trace& trace) {
+    constexpr int least = 4;
+    uint32_t left = RayPacket::everyone;
+    for (uint32_t open = left; std::popcount(open) >= least;) {
+        const uint32_t together = packet.companions(open);
+        // A ray without enough others is left, but does not keep these from going together.
+        open &= ~(together | (open & -open));
+        if (std::popcount(together) < least) continue;
+        left &= ~together;
+        packet.prepare(together);
+        trace();
+    }
+    return left;
+}
 
 void add_statistics(const Primitive& p, std::unordered_set<const Primitive*>& seen,
                     StructureStatistics& sum) {
@@ -67,38 +77,30 @@ bool Primitive::is_large() const {
     return known == large_size;
 }
 
-template <class One, class Skip, class Together>
-void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one, const Skip& skip,
+template <class One, class Together>
+void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one,
                          const Together& together) const {
     size_t i = 0;
     if (mode != Mode::exact && rays.size() >= RayPacket::most && takes_packets()) {
-        RayPacket packet;
-        // Where a packet does not pay, the next hardly will: ever fewer are tried.
-        size_t pause = 1, paused = 0;
+        RayPacket packet(bounds_, magnitude_, mode);
         for (; i + RayPacket::most <= rays.size(); i += RayPacket::most) {
-            const auto group = rays.subspan(i, RayPacket::most);
-            if (paused == 0 && RayPacket::suits(group, bounds_)) {
-                packet.prepare(group, i, magnitude_, mode);
-                for (size_t k = 0; packet.count < group.size() && k < group.size(); ++k)
-                    skip(i + k);
-                const bool worth_it = together(packet);
-                paused = worth_it ? 0 : pause;
-                pause = worth_it ? 1 : std::min<size_t>(2 * pause, 64);
-            } else {
-                if (paused > 0) --paused;
-                for (size_t k = 0; k < group.size(); ++k) one(i + k);
+            uint32_t left = RayPacket::everyone;
+            if (RayPacket::promising(&rays[i])) {
+                packet.load(&rays[i]);
+                left = take_together(packet, [&] { together(packet, i); });
             }
+            for (; left; left &= left - 1) one(i + size_t(std::countr_zero(left)));
         }
     }
     for (; i < rays.size(); ++i) one(i);
 }
 
-template <class One, class Skip, class Together>
+template <class One, class Together>
 void Primitive::in_good_order(std::span<const Ray> rays, Mode mode, const One& one,
-                              const Skip& skip, const Together& together) const {
+                              const Together& together) const {
     if (rays.size() < RayOrder::least_batch || bounds_.empty() || !is_large() ||
         !RayOrder::are_scattered(rays, bounds_))
-        return as_given(rays, mode, one, skip, together);
+        return as_given(rays, mode, one, together);
     thread_local RayOrder order;
     for (size_t begin = 0; begin < rays.size(); begin += RayOrder::most_batch) {
         const auto batch = rays.subspan(begin, std::min(RayOrder::most_batch, rays.size() - begin));
@@ -125,7 +127,7 @@ Hit Primitive::intersect(const Ray& ray, Mode mode) const {
     if (!prepare(ray, magnitude_, query, local, scale)) return {};
     query.mode = mode;
     closest_local(local, query);
-    return result(query, scale);
+    return query.hit(scale);
 }
 
 bool Primitive::occluded(const Ray& ray, Mode mode) const {
@@ -142,12 +144,12 @@ void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode m
     assert(rays.size() == hits.size());
     in_good_order(
         rays, mode, [&](size_t i) { hits[i] = intersect(rays[i], mode); },
-        [&](size_t i) { hits[i] = {}; },
-        [&](RayPacket& packet) {
-            const bool worth_it = closest_packet(packet);
-            for (uint32_t k = 0; k < packet.count; ++k)
-                hits[packet.index[k]] = result(packet.query[k], packet.scale[k]);
-            return worth_it;
+        [&](RayPacket& packet, size_t first) {
+            closest_packet(packet);
+            for (uint32_t left = packet.rays; left; left &= left - 1) {
+                const auto r = uint32_t(std::countr_zero(left));
+                hits[first + r] = packet.hit(r);
+            }
         });
 }
 
@@ -155,11 +157,12 @@ void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, 
     assert(rays.size() == results.size());
     in_good_order(
         rays, mode, [&](size_t i) { results[i] = occluded(rays[i], mode); },
-        [&](size_t i) { results[i] = false; },
-        [&](RayPacket& packet) {
-            const bool worth_it = any_packet(packet);
-            for (uint32_t k = 0; k < packet.count; ++k) results[packet.index[k]] = packet.found[k];
-            return worth_it;
+        [&](RayPacket& packet, size_t first) {
+            any_packet(packet);
+            for (uint32_t left = packet.rays; left; left &= left - 1) {
+                const auto r = uint32_t(std::countr_zero(left));
+                results[first + r] = packet.found >> r & 1;
+            }
         });
 }
 
@@ -171,7 +174,7 @@ Hit Primitive::intersect(const Ray& ray, Counters& counters, Mode mode) const {
     if (!prepare(ray, magnitude_, query, local, scale)) return {};
     query.mode = mode;
     closest_local(local, query, counters);
-    return result(query, scale);
+    return query.hit(scale);
 }
 
 bool Primitive::occluded(const Ray& ray, Counters& counters, Mode mode) const {
@@ -191,7 +194,7 @@ Hit Primitive::closest_exactly(const Ray& ray, Counters* counters) const {
     if (!prepare(ray, magnitude_, query, local, scale)) return {};
     const ExactStart start(ray, scale, local, query);
     counters ? closest_local(local, query, *counters) : closest_local(local, query);
-    Hit hit = result(query, scale);
+    Hit hit = query.hit(scale);
     if (hit.is_hit() && start.nearest.decided(query)) hit.t = start.nearest.t();
     return hit;
 }

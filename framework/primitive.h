@@ -102,10 +102,10 @@ class Primitive {
     virtual void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
     virtual bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
     /// Whether rays that go together can be traced together: see RayPacket. If not, the next two
-    /// are never called. They return whether it was worth it.
+    /// are never called.
     virtual bool takes_packets() const { return false; }
-    virtual bool closest_packet(RayPacket&) const { return false; }
-    virtual bool any_packet(RayPacket&) const { return false; }
+    virtual void closest_packet(RayPacket&) const {}
+    virtual void any_packet(RayPacket&) const {}
     /// @}
 
     /// Expected cost in nanoseconds of a ray that meets the bounds (closest hit, ignoring that rays
@@ -176,13 +176,13 @@ class Primitive {
     /// Whether the whole, all inside included, has RayOrder::large_structure bytes; found when
     /// first asked.
     bool is_large() const;
-    /// Calls one(i) for a ray, or first skip(i) for some and then together(packet), which says
-    /// whether that was worth it.
-    template <class One, class Skip, class Together>
-    void in_good_order(std::span<const Ray> rays, Mode mode, const One& one, const Skip& skip,
+    /// Calls one(i) for a ray, or together(packet, first) for those of a packet, whose ray 0 is ray
+    /// `first`.
+    template <class One, class Together>
+    void in_good_order(std::span<const Ray> rays, Mode mode, const One& one,
                        const Together& together) const;
-    template <class One, class Skip, class Together>
-    void as_given(std::span<const Ray> rays, Mode mode, const One& one, const Skip& skip,
+    template <class One, class Together>
+    void as_given(std::span<const Ray> rays, Mode mode, const One& one,
                   const Together& together) const;
     enum : uint8_t { unknown_size, small_size, large_size };
     mutable std::atomic<uint8_t> size_known_ = unknown_size;

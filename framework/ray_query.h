@@ -118,6 +118,8 @@ struct RayQuery {
     }
     /// Ids of the current hit.
     Hit ids() const;
+    /// The current hit. @param scale  see `prepare`
+    Hit hit(float scale) const;
     /// Records a hit with t in [t_min, t_best] unless one at the same t has lower ids.
     void record(float t, float u, float v, const IdTable& ids, uint32_t shape);
     /// Records a hit that is known to be nearer, or to have lower ids at the same t.
@@ -194,6 +196,15 @@ class IdTable {
 inline Hit RayQuery::ids() const {
     Hit hit;
     if (hit_ids) hit_ids->resolve(hit_shape, hit_instance, hit);
+    return hit;
+}
+
+inline Hit RayQuery::hit(float scale) const {
+    Hit hit = ids();
+    if (!hit_ids) return hit;
+    hit.t = t_best * scale;
+    hit.u = hit_u;
+    hit.v = hit_v;
     return hit;
 }
 

@@ -9,6 +9,7 @@
 
 #include <hwy/highway.h>
 
+#include <cstring>
 #include <limits>
 
 #include "framework/counters.h"
@@ -119,9 +120,18 @@ struct LaneHits {
 
 template <class D, class M>
 HWY_INLINE uint32_t mask_bits(D d, M mask) {
-    uint8_t bits[8] = {};
-    hn::StoreMaskBits(d, mask, bits);
-    return bits[0];
+    uint8_t bytes[8] = {};
+    hn::StoreMaskBits(d, mask, bytes);
+    uint32_t bits;
+    std::memcpy(&bits, bytes, sizeof bits);
+    return bits;
+}
+/// The same backwards; further bits do not matter.
+template <class D>
+HWY_INLINE hn::Mask<D> bits_mask(D d, uint32_t bits) {
+    uint8_t bytes[8] = {};
+    std::memcpy(bytes, &bits, sizeof bits);
+    return hn::LoadMaskBits(d, bytes);
 }
 
 /// Mode::fast: t, u, v from the float edge functions, unless these overflow.

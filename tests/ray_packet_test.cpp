@@ -1,6 +1,9 @@
 #include "framework/ray_packet.h"
 
+#include <array>
+#include <bit>
 #include <cmath>
+#include <functional>
 #include <random>
 
 #include "framework/instance.h"
@@ -64,33 +67,176 @@ size_t check_span(const Primitive& object, const std::vector<Ray>& rays, Mode mo
     return found;
 }
 
-TEST_CASE("ray packet: rays that start together and go one way suit") {
-    const std::vector<Ray> rays = picture(1);
+/// Calls f() under every instruction set.
+template <class F>
+void for_each_isa(const F& f) {
+    const std::string before = active_isa();
+    for (const std::string& isa : available_isas()) {
+        INFO(isa);
+        set_isa(isa);
+        f();
+    }
+    set_isa(before);
+}
+
+Bounds3 unit_box() {
     Bounds3 box;
     box.extend(Vec3f(0, 0, 0));
     box.extend(Vec3f(1, 1, 1));
-    const auto group = [&](size_t first) {
-        return std::vector<Ray>(rays.begin() + long(first), rays.begin() + long(first) + 16);
-    };
-    const size_t plain = 50 * width + 160;  // no special ray among these
-    CHECK(RayPacket::suits(group(plain), box));
-    auto turned = group(plain);
-    turned[7].direction[0] = -turned[7].direction[0];
-    CHECK_FALSE(RayPacket::suits(turned, box));
-    auto spread = group(plain);
-    spread[7].direction[0] += 0.3f;
-    CHECK_FALSE(RayPacket::suits(spread, box));
-    auto apart = group(plain);
-    apart[7].origin[1] += 0.1f;
-    CHECK_FALSE(RayPacket::suits(apart, box));
-    auto longer = group(plain);
-    longer[7].direction *= 2;
-    CHECK_FALSE(RayPacket::suits(longer, box));
-    for (const float bad : {INFINITY, 0.0f}) {
-        auto broken = group(plain);
-        broken[7].direction[1] = bad;
-        CHECK_FALSE(RayPacket::suits(broken, box));
+    return box;
+}
+
+using Sixteen = std::array<Ray, RayPacket::most>;
+
+/// Pixels side by side.
+Sixteen plain_rays() {
+    Sixteen group;
+    for (size_t i = 0; i < group.size(); ++i) {
+        group[i].origin = Vec3f(0.1f, 0.2f, 1.5f);
+        group[i].direction = Vec3f(0.003f * float(i) + 0.4f, 0.3f, -1.1f);
     }
+    return group;
+}
+
+uint32_t companions(const Sixteen& rays, uint32_t among = RayPacket::everyone) {
+    RayPacket packet(unit_box(), 1, Mode::robust);
+    packet.load(rays.data());
+    return packet.companions(among);
+}
+
+TEST_CASE("ray packet: rays that start together and go one way go together, others stay out") {
+    const Sixteen plain = plain_rays();
+    const std::function<void(Ray&)> changes[] = {
+        [](Ray& r) { r.direction[0] = -r.direction[0]; },
+        [](Ray& r) { r.direction[0] += 0.3f; },
+        [](Ray& r) { r.direction *= 2; },
+        [](Ray& r) { r.direction[0] = 1.5f; },  // another main axis
+        [](Ray& r) { r.direction[1] = INFINITY; },
+        [](Ray& r) { r.direction[2] = NAN; },
+        [](Ray& r) { r.direction = Vec3f(0, 0, 0); },
+        [](Ray& r) { r.origin[1] += 0.1f; },
+        [](Ray& r) { r.origin[2] = NAN; },
+        [](Ray& r) { r.origin[0] = -INFINITY; },
+        [](Ray& r) { r.t_min = -2; },
+        [](Ray& r) { r.t_min = 1e-35f; },
+        [](Ray& r) { r.t_min = NAN; },
+        [](Ray& r) { r.t_min = 2, r.t_max = 1; },
+        [](Ray& r) { r.t_max = 1e-35f; },
+        [](Ray& r) { r.t_max = NAN; },
+    };
+    for_each_isa([&] {
+        CHECK(RayPacket::promising(plain.data()));
+        CHECK(companions(plain) == RayPacket::everyone);
+        CHECK(companions(plain, 0xf0f0) == 0xf0f0);
+        for (size_t c = 0; c < std::size(changes); ++c) {
+            INFO("change " << c);
+            Sixteen changed = plain;
+            changes[c](changed[7]);
+            CHECK(companions(changed) == (RayPacket::everyone & ~(1u << 7)));
+            changed = plain;
+            changes[c](changed[0]);
+            CHECK((companions(changed) & ~1u) == 0);
+            CHECK(companions(changed, 0xfffe) == 0xfffe);
+        }
+    });
+    Sixteen far = plain;
+    for (Ray& ray : far) ray.origin *= 1e20f;
+    CHECK(companions(far) == 0);
+}
+
+/// Rays about one, which all differ a little, and of which some are out of the ordinary.
+Sixteen rays_about(const Ray& one, std::mt19937& random) {
+    std::uniform_real_distribution<float> turn(-0.03f, 0.03f);
+    Sixteen rays;
+    for (Ray& ray : rays) {
+        ray = one;
+        const float largest = one.direction.cwiseAbs().maxCoeff();
+        for (int a = 0; a < 3; ++a) {
+            // Zeros and what is tiny stay so.
+            const float size = std::abs(one.direction[a]) < 1e-3f * largest ? 0 : largest;
+            ray.direction[a] += turn(random) * size;
+            ray.origin[a] += turn(random) * 0.1f * std::abs(one.origin[a]);
+        }
+    }
+    if (random() % 2) rays[random() % 16].direction[random() % 3] = NAN;
+    if (random() % 2) rays[random() % 16].t_min = -1;
+    if (random() % 2) rays[random() % 16].t_max = 0;
+    return rays;
+}
+
+template <class A, class B>
+bool same_bits(const A& a, const B& b) {
+    return std::bit_cast<uint32_t>(a) == std::bit_cast<uint32_t>(b);
+}
+
+/// Whether ray r of the packet has what `prepare` sets up.
+bool is_prepared(const RayPacket& packet, uint32_t r, const Ray& ray) {
+    RayQuery query;
+    LocalRay local;
+    float scale;
+    if (!prepare(ray, packet.magnitude, query, local, scale)) return false;
+    bool same = same_bits(packet.scale, scale) && packet.axis[0] == query.kx &&
+                packet.axis[1] == query.ky && packet.axis[2] == query.kz;
+    const auto compare = [&](const RayPacket::Row& row, float x) {
+        same = same && same_bits(row[r], x);
+    };
+    for (int a = 0; a < 3; ++a) {
+        compare(packet.origin[a], query.origin[a]);
+        compare(packet.origin[a], local.origin[a]);
+        compare(packet.direction[a], query.direction[a]);
+        compare(packet.direction[a], local.direction[a]);
+        compare(packet.near_origin[a], local.near_origin[a]);
+        compare(packet.far_origin[a], local.far_origin[a]);
+        compare(packet.rcp[a], local.rcp[a]);
+        compare(packet.far_rcp[a], local.far_rcp[a]);
+    }
+    compare(packet.shear[0], query.shear_x);
+    compare(packet.shear[1], query.shear_y);
+    compare(packet.shear[2], query.shear_z);
+    compare(packet.t_min, query.t_min);
+    compare(packet.t_low, query.t_low);
+    compare(packet.t_best, query.t_best);
+    compare(packet.t_cull, query.t_cull);
+    return same;
+}
+
+TEST_CASE("ray packet: sixteen rays set up side by side have the bits of rays set up alone") {
+    const float directions[][3] = {{0.3f, 0.4f, -0.9f}, {1, 1, 1},           {-0.9f, 0.1f, 0.2f},
+                                   {0, 0, 1},           {-0.0f, 1, 0},       {1e-30f, -0.7f, 0.2f},
+                                   {0.1f, -0.0f, -1},   {1e-12f, 1e-19f, 1}, {-1, 1, 0}};
+    const float origins[][3] = {{0, 0, 0}, {-0.0f, 1, -3}, {1e-40f, 1e4f, 5e16f}, {1e30f, 0, 0}};
+    const float intervals[][2] = {{0, INFINITY}, {-0.0f, 5}, {0x1p-100f, 0x1p-99f},
+                                  {3, 1e30f},    {0, 3e38f}, {1e30f, 2e30f}};
+    Bounds3 box;
+    box.extend(Vec3f(-1e18f, -1e18f, -1e18f));
+    box.extend(Vec3f(1e18f, 1e18f, 1e18f));
+    std::mt19937 random(11);
+    for_each_isa([&] {
+        size_t together = 0, wrong = 0;
+        for (const float times : {1.0f, 0.011f, 0x1p-59f, 1e-30f, 1e17f, 0x1p126f})
+            for (const float magnitude : {1.0f, 3e7f, 1e26f, 1e30f})
+                for (const auto& d : directions)
+                    for (const auto& o : origins)
+                        for (const auto& [t_min, t_max] : intervals) {
+                            const Ray one{Vec3f(o), t_min, Vec3f(times * Vec3f(d)), t_max};
+                            const Sixteen rays = rays_about(one, random);
+                            RayPacket packet(box, magnitude, Mode::robust);
+                            packet.load(rays.data());
+                            for (uint32_t left = RayPacket::everyone; left;) {
+                                const uint32_t companions = packet.companions(left);
+                                left &= ~companions & (left - 1);
+                                if (companions == 0) continue;
+                                packet.prepare(companions);
+                                for (uint32_t r = 0; r < RayPacket::most; ++r)
+                                    if (companions >> r & 1)
+                                        ++together, wrong += !is_prepared(packet, r, rays[r]);
+                                    else
+                                        wrong += !(packet.t_low[r] > packet.t_cull[r]);
+                            }
+                        }
+        CHECK(wrong == 0);
+        CHECK(together > 20000);
+    });
 }
 
 TEST_CASE("ray packet: pictures as spans give the single calls' hits, in every mode") {
@@ -145,7 +291,7 @@ TEST_CASE("ray packet: sixteen nearly equal rays at every hard place") {
     }
 }
 
-TEST_CASE("ray packet: one that passes what its rays do not meet gives up, and nothing is lost") {
+TEST_CASE("ray packet: where it passes what few rays meet these go on alone, and nothing is lost") {
     // Along the ground to the horizon, over the last of which some rays go.
     const auto ground = bumpy_ground("wide_bvh", 300);
     std::vector<Ray> rays(RayPacket::most * size_t{40});
@@ -154,12 +300,12 @@ TEST_CASE("ray packet: one that passes what its rays do not meet gives up, and n
         rays[i].direction = Vec3f(1, 0.01f + 0.004f * float(i % 16) + 0.02f * float(i / 16),
                                   1e-4f * float(i % 16 + 1));
     }
-    const auto first = std::span<const Ray>(rays).first(RayPacket::most);
-    REQUIRE(RayPacket::suits(first, ground->bounds()));
-    RayPacket packet;
-    packet.prepare(first, 0, 2, Mode::robust);
-    REQUIRE(packet.count == RayPacket::most);
-    CHECK_FALSE(ground->closest_packet(packet));
+    RayPacket packet(ground->bounds(), 2, Mode::robust);
+    packet.load(rays.data());
+    REQUIRE(packet.companions(RayPacket::everyone) == RayPacket::everyone);
+    packet.prepare(RayPacket::everyone);
+    ground->closest_packet(packet);
+    CHECK(packet.are_single != 0);
     CHECK(check_span(*ground, rays, Mode::robust) > 0);
 }
 
