@@ -40,7 +40,7 @@ struct ModelHierarchyTraversal {
                 uint32_t hits = test(node, ray, down, q, t_near);
                 Entry* const base = top;
                 for (; hits; hits &= hits - 1) {
-                    const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
+                    const uint32_t i = lowest(hits);
                     insert<Q>(base, top++, {node.index[i], node.count[i], t_near[i]});
                 }
             }

@@ -41,6 +41,11 @@ struct StoredBox {
     double half_area() const { return crofton::half_area(bounds()); }
 };
 
+/// The three axes; as a denormal number the fourth lane would be slow.
+HWY_INLINE hn::Vec<hn::FixedTag<float, 4>> first_three_lanes(hn::Vec<hn::FixedTag<float, 4>> v) {
+    return hn::IfThenElseZero(hn::FirstN(hn::FixedTag<float, 4>(), 3), v);
+}
+
 /// A box in registers, one of eight lanes or two of four: the lower corner, and the upper one
 /// negated, so that one minimum extends both. The fourth lanes mean nothing.
 class Box8 {
@@ -104,10 +109,6 @@ class Box8 {
         for (size_t i = 0; i < parts; ++i) r.v_[i] = hn::IfThenElse(mask, a.v_[i], b.v_[i]);
         return r;
     }
-    /// The three axes; as a denormal number the fourth lane would be slow.
-    static HWY_INLINE V4 first_three_lanes(V4 v) {
-        return hn::IfThenElseZero(hn::FirstN(D4(), 3), v);
-    }
 
   private:
     friend class StoredReference;
@@ -123,8 +124,6 @@ class Box8 {
 
     hn::Vec<D> v_[parts];
 };
-
-HWY_INLINE Box8::V4 first_three_lanes(Box8::V4 v) { return Box8::first_three_lanes(v); }
 
 /// A reference in registers, loaded as it is stored: a load across two stores waits for both.
 class StoredReference {

@@ -17,10 +17,6 @@ namespace HWY_NAMESPACE {
 /// Some of a packet's rays, one a lane.
 using RayLanes = hn::CappedTag<float, RayPacket::most>;
 
-HWY_INLINE uint32_t lowest(uint32_t bits) {
-    return uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(bits));
-}
-
 /// What a packet does at a leaf.
 ///
 /// Of triangles, few rays each find a few: so every triangle is tested against all rays at once, by

@@ -6,11 +6,10 @@
 
 #include <hwy/cache_control.h>
 
+#include "accelerators/wide_packet.h"
 #include "framework/accelerator.h"
 #include "framework/compact_patch_test.h"
 #include "framework/patch_test.h"
-// After patch_test.h
-#include "accelerators/wide_packet.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
@@ -103,7 +102,7 @@ struct WideBvhTraversal {
                 alignas(4 * Node::width) float t[Node::width];
                 uint32_t hits = test_children(boxes, node, t_low, q.t_cull, t);
                 if (hits == 0) goto pop;
-                const uint32_t first = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
+                const uint32_t first = lowest(hits);
                 hits &= hits - 1;
                 if (hits == 0) {
                     current = node.child[first];
@@ -111,7 +110,7 @@ struct WideBvhTraversal {
                 }
                 // Two children, the common case, never leave registers; of more, all go on the
                 // stack, far to near, and the nearest comes off again.
-                const uint32_t second = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
+                const uint32_t second = lowest(hits);
                 hits &= hits - 1;
                 Entry e0 = entry(node.child[first], t[first]);
                 Entry e1 = entry(node.child[second], t[second]);
@@ -127,7 +126,7 @@ struct WideBvhTraversal {
                 *top++ = e0;
                 *top++ = e1;
                 do {
-                    const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(hits));
+                    const uint32_t i = lowest(hits);
                     const Entry e = entry(node.child[i], t[i]);
                     prefetch(bvh, nodes, uint32_t(e));
                     hits &= hits - 1;

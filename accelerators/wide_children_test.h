@@ -17,16 +17,6 @@ namespace HWY_NAMESPACE {
 template <class Node>
 using NodeLanes = hn::CappedTag<float, Node::width>;
 
-/// @return bit i: lane i, of 16 at most
-template <class D>
-HWY_INLINE uint32_t lane_bits(D d, hn::Mask<D> mask) {
-    uint8_t bytes[8] = {};
-    hn::StoreMaskBits(d, mask, bytes);
-    uint16_t bits;
-    std::memcpy(&bits, bytes, sizeof(bits));
-    return bits;
-}
-
 /// Tests all children of a node, as many at once as a vector has lanes.
 /// @param t_near  Node::width floats: where the ray enters each child
 /// @return bit i: child i may be hit within [t_low, t_cull]
@@ -88,7 +78,7 @@ class ChildrenTest<WideNode<W>> {
         const auto enter = hn::Max(hn::Max(x0, y0), hn::Max(z0, hn::Set(d, t_low)));
         const auto leave = hn::Min(hn::Min(x1, y1), hn::Min(z1, hn::Set(d, t_cull)));
         hn::Store(enter, d, t_near + first);
-        return lane_bits(d, hn::Le(enter, leave));
+        return mask_bits(d, hn::Le(enter, leave));
     }
 
   private:
@@ -125,7 +115,7 @@ class ChildrenTest<QuantisedNode<W>> {
             leave = hn::Min(leave, at(offsets_.leave[a], a, ray_.far_origin, ray_.far_rcp));
         }
         hn::Store(enter, d, t_near + first);
-        return lane_bits(d, hn::Le(enter, leave)) & ((1u << node.children) - 1) >> first;
+        return mask_bits(d, hn::Le(enter, leave)) & ((1u << node.children) - 1) >> first;
     }
 
   private:

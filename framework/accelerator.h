@@ -99,13 +99,14 @@ class AcceleratedObject final : public Primitive {
     }
 
     std::vector<Bounds3> cover() const override {
-        std::vector<Bounds3> boxes;
-        if constexpr (Opens<Structure, Set>)
+        if constexpr (Opens<Structure, Set>) {
+            std::vector<Bounds3> boxes;
             structure_.visit_children(
                 {}, [&](const Bounds3& box, TraversalStart) { boxes.push_back(box); });
-        else
-            boxes.push_back(bounds());
-        return boxes;
+            return boxes;
+        } else {
+            return Primitive::cover();
+        }
     }
     std::shared_ptr<const Primitive> part(const std::shared_ptr<const Primitive>& self,
                                           const Bounds3& box,

@@ -9,7 +9,7 @@ struct CostConstants {
     double sphere_node = 6.0;  ///< the same of spheres, oriented boxes, 14-dops
     double obb_node = 9.0;
     double kdop_node = 6.0;
-    double wide_node = 1.5;  ///< eight children at once, as a share of each binary node inside
+    double wide_node = 1.5;  ///< all children at once, as a share of each binary node inside
     double four_spheres_node = 9.0;  ///< four quantised spheres at once
     double plane = 2.5;              ///< a step down a tree of planes
     double general_plane = 4.0;      ///< the same where the plane has any direction

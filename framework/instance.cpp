@@ -2,19 +2,34 @@
 
 #include <hwy/base.h>
 
+#include <algorithm>
+#include <iterator>
+
 #include "framework/archive.h"
 #include "framework/cost.h"
 
 namespace crofton {
+namespace {
+
+/// Whether a box becomes a box, exactly as large as it has to be.
+bool keeps_axes(const FloatTransform& f) {
+    return std::all_of(std::begin(f.m), std::end(f.m),
+                       [](const float(&row)[4]) { return std::count(row, row + 3, 0.0f) >= 2; });
+}
+
+}  // namespace
 
 Instance::Instance(std::shared_ptr<const Primitive> object, const Transform& parent_from_object)
     : object_(std::move(object)),
       frame_(parent_from_object, inverse(parent_from_object).value(), object_->magnitudes()) {
-    // A box of turned boxes is smaller than that of the one turned box that holds them.
-    Bounds3 box;
-    for (const Bounds3& part : object_->cover())
-        box.extend(transformed(frame_.world_from_object_f, part));
-    set_bounds(intersection(box, transformed(frame_.world_from_object_f, object_->bounds())));
+    Bounds3 box = transformed(frame_.world_from_object_f, object_->bounds());
+    if (!keeps_axes(frame_.world_from_object_f)) {
+        // A box of turned boxes is smaller than that of the one turned box that holds them.
+        Bounds3 parts;
+        for (const Bounds3& part : Instance::cover()) parts.extend(part);
+        box = intersection(box, parts);
+    }
+    set_bounds(box);
 }
 
 std::vector<Bounds3> Instance::cover() const {

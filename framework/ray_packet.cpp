@@ -87,10 +87,10 @@ void prepare_packet(RayPacket& p, uint32_t first) {
             const auto o = given(a), unscaled = given(4 + a);
             way[a] = hn::Mul(unscaled, down);
             inverse[a] = hn::Mul(hn::Div(hn::Set(d, 1.0f), unscaled), up);
-            const auto pad = hn::Add(hn::Set(d, 0x1p-40f * p.magnitude),
-                                     hn::Mul(hn::Abs(o), hn::Set(d, 0x1p-22f)));
+            const auto pad = hn::Add(hn::Set(d, magnitude_pad * p.magnitude),
+                                     hn::Mul(hn::Abs(o), hn::Set(d, origin_pad)));
             const auto rcp =
-                hn::CopySign(hn::Min(hn::Abs(inverse[a]), hn::Set(d, 0x1p60f)), way[a]);
+                hn::CopySign(hn::Min(hn::Abs(inverse[a]), hn::Set(d, rcp_limit)), way[a]);
             const auto shift = hn::CopySign(pad, rcp);
             hn::Store(o, d, p.origin[a] + r);
             hn::Store(way[a], d, p.direction[a] + r);

@@ -102,8 +102,8 @@ HWY_INLINE void set_interval(const Ray& ray, Float4 o, Float4 d, Float4 up, Floa
 HWY_INLINE void complete(LocalRay& ray, Float4 o, Float4 d, Float4 inverse, Float4 pad, float t_min,
                          float magnitude, float limit) {
     const auto size = hn::Abs(o);
-    pad = hn::Add(hn::Add(pad, hn::Set(f4, 0x1p-40f * magnitude)),
-                  hn::Mul(size, hn::Set(f4, 0x1p-22f)));
+    pad = hn::Add(hn::Add(pad, hn::Set(f4, magnitude_pad * magnitude)),
+                  hn::Mul(size, hn::Set(f4, origin_pad)));
     if (HWY_UNLIKELY(t_min < 0))
         pad = hn::Add(pad,
                       hn::Mul(hn::Set(f4, 4 * box_slack), hn::Add(size, hn::Set(f4, magnitude))));
@@ -155,7 +155,7 @@ bool prepare(const Ray& ray, float magnitude, RayQuery& q, LocalRay& local, floa
     q.mode = Mode::robust;
 
     local.frame = nullptr;
-    complete(local, o, scaled, inverse, hn::Zero(f4), q.t_min, magnitude, 0x1p60f);
+    complete(local, o, scaled, inverse, hn::Zero(f4), q.t_min, magnitude, rcp_limit);
     return true;
 }
 
@@ -201,7 +201,7 @@ bool enter(const InstanceFrame& frame, const RayQuery& query, LocalRay& local) {
     // The fourth lane means nothing, but must not divide by zero.
     const auto divisor = hn::Or(way, hn::Load(f4, last_lane));
     complete(local, from, divisor, hn::Div(hn::Set(f4, 1.0f), divisor), pad, query.t_min,
-             frame.magnitude, 0x1p60f / largest);
+             frame.magnitude, rcp_limit / largest);
     return true;
 }
 

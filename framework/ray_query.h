@@ -78,6 +78,10 @@ struct LocalRay {
     const InstanceFrame* frame;  ///< null: this is world space (in Mode::exact the identity)
 };
 
+/// Shares of an object's magnitude and of a ray's origin that `pad` has at least.
+inline constexpr float magnitude_pad = 0x1p-40f, origin_pad = 0x1p-22f;
+/// Largest |rcp|, times max|d|.
+inline constexpr float rcp_limit = 0x1p60f;
 /// Relative widening of a far box distance. Two slab distances carry 3 roundings each, γ3 = 3u; a
 /// leaf test may put a hit 8u·|v - o| outside its triangle. 16u = 2^-20 covers both.
 inline constexpr float box_slack = 0x1p-20f;

@@ -25,6 +25,11 @@ namespace crofton {
 namespace HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
+/// Index of the lowest of bits, which are not all 0.
+HWY_INLINE uint32_t lowest(uint32_t bits) {
+    return uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(bits));
+}
+
 /// W floats, or as many as the target has.
 template <int W>
 using Lanes = hn::CappedTag<float, W>;
@@ -118,6 +123,7 @@ struct LaneHits {
     uint32_t plain;  ///< of these, lanes whose t, u and v are known; others need refine_triangle
 };
 
+/// @return bit i: lane i
 template <class D, class M>
 HWY_INLINE uint32_t mask_bits(D d, M mask) {
     uint8_t bytes[8] = {};
@@ -305,7 +311,7 @@ HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y
         if (HWY_LIKELY(hits.plain)) solve_in_double<Q>(d, source, q, hits);
     }
     for (uint32_t open = hits.open; open; open &= open - 1) {
-        const uint32_t i = uint32_t(hwy::Num0BitsBelowLS1Bit_Nonzero32(open));
+        const uint32_t i = lowest(open);
         float &t = hits.t[i], &u = hits.u[i], &v = hits.v[i];
         if (HWY_UNLIKELY(!(hits.plain >> i & 1)) && !source.refine(i, q, t, u, v)) continue;
         if (!(t >= q.t_min && t <= q.t_best)) continue;
