@@ -110,6 +110,7 @@ class PacketTraversal {
             const Open open = *--top;
             if (open.t > t_cull_) continue;
             const bool leaf = WideChild::is_leaf(open.child);
+            ++packet_.visits;
             if (leaf || --free_visits_ < 0) {
                 const uint32_t rays = meet(packet_, open.planes, Node::width, down_);
                 if (!rays) continue;
@@ -154,6 +155,7 @@ class PacketTraversal {
     }
 
     HWY_INLINE void visit_leaf(uint32_t child, uint32_t rays) {
+        packet_.encounters += uint32_t(hwy::PopCount(rays));
         free_visits_ += 2 * int(hwy::PopCount(rays));
         if (leaves_.test(WideChild::first(child), WideChild::count(child), rays))
             t_cull_ = largest(packet_.t_cull);

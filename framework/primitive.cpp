@@ -81,15 +81,21 @@ template <class One, class Together>
 void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one,
                          const Together& together) const {
     size_t i = 0;
-    // In a structure that no cache holds, neighbours part before they meet much together, and a
-    // packet that goes on ray by ray waits for memory more often than single rays do.
-    if (mode != Mode::exact && rays.size() >= RayPacket::most && takes_packets() && !is_large()) {
+    if (mode != Mode::exact && rays.size() >= RayPacket::most && takes_packets()) {
         RayPacket packet(bounds_, magnitude_, mode);
+        // Where packets are futile ever fewer are tried.
+        constexpr size_t longest_pause = 63;
+        size_t pause = 0, left_out = 0;
         for (; i + RayPacket::most <= rays.size(); i += RayPacket::most) {
             uint32_t left = RayPacket::everyone;
-            if (RayPacket::promising(&rays[i])) {
+            if (left_out > 0) {
+                --left_out;
+            } else if (RayPacket::promising(&rays[i])) {
                 packet.load(&rays[i]);
                 left = take_together(packet, [&] { together(packet, i); });
+                const auto taken = uint32_t(std::popcount(~left & RayPacket::everyone));
+                pause = packet.was_futile(taken) ? std::min(2 * pause + 1, longest_pause) : pause / 2;
+                left_out = pause;
             }
             for (; left; left &= left - 1) one(i + size_t(std::countr_zero(left)));
         }

@@ -152,6 +152,7 @@ bool RayPacket::promising(const Ray* rays) {
 
 void RayPacket::load(const Ray* rays) {
     source = rays;
+    visits = encounters = 0;
     HWY_DYNAMIC_DISPATCH(load_packet)(rays, given);
 }
 

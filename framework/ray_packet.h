@@ -51,6 +51,10 @@ struct RayPacket {
         hit_in_row &= ~bit;
         return singles[r];
     }
+    /// Whether the rays loaded last passed many nodes that hardly one of them would have met, as
+    /// where triangles are much smaller than rays are apart.
+    /// @param taken  how many went together
+    bool was_futile(uint32_t taken) const { return visits > 4 * taken && encounters < visits; }
     /// What ray r hits.
     Hit hit(uint32_t r) const {
         const uint32_t bit = 1u << r;
@@ -86,6 +90,8 @@ struct RayPacket {
     alignas(64) uint32_t shape[most];
 
     uint32_t are_single;  ///< bits of rays with a state of their own
+    uint32_t visits;      ///< nodes and leaves that the rays loaded last passed together
+    uint32_t encounters;  ///< of rays with leaves there
     Single singles[most];
 
   private:

@@ -291,6 +291,26 @@ TEST_CASE("ray packet: sixteen nearly equal rays at every hard place") {
     }
 }
 
+TEST_CASE("ray packet: it was futile where rays are far apart for the triangles they pass") {
+    const auto was_futile = [](uint32_t cells, float apart) {
+        const auto ground = bumpy_ground("wide_bvh", cells);
+        std::vector<Ray> rays(RayPacket::most);
+        for (uint32_t r = 0; r < RayPacket::most; ++r) {
+            rays[r].origin = Vec3f(0.3f, 0.4f, 1.5f);
+            rays[r].direction = Vec3f(0.1f + apart * float(r % 4), 0.1f + apart * float(r / 4), -1);
+        }
+        RayPacket packet(ground->bounds(), 2, Mode::robust);
+        packet.load(rays.data());
+        REQUIRE(packet.companions(RayPacket::everyone) == RayPacket::everyone);
+        packet.prepare(RayPacket::everyone);
+        ground->closest_packet(packet);
+        return packet.was_futile(RayPacket::most);
+    };
+    CHECK_FALSE(was_futile(20, 0.03f));
+    CHECK_FALSE(was_futile(300, 0.0003f));
+    CHECK(was_futile(300, 0.03f));
+}
+
 TEST_CASE("ray packet: where it passes what few rays meet these go on alone, and nothing is lost") {
     // Along the ground to the horizon, over the last of which some rays go.
     const auto ground = bumpy_ground("wide_bvh", 300);
