@@ -6,6 +6,7 @@
 
 #include <hwy/cache_control.h>
 
+#include "accelerators/wide_crowd.h"
 #include "accelerators/wide_packet.h"
 #include "framework/accelerator.h"
 #include "framework/compact_patch_test.h"
@@ -41,6 +42,24 @@ struct WideBvhTraversal {
             bvh.nodes.visit_full([&](const auto* nodes) HWY_ATTR {
                 PacketTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
                                 std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, packet)
+                    .run(alone);
+            });
+        });
+    }
+
+    /// Of triangles: the structures that are too large for caches are theirs.
+    template <Query Q>
+    static void run_crowd(const WideBvh<TriangleSet>& bvh, const TriangleSet& set,
+                          RayCrowd& crowd) {
+        if (bvh.box.empty()) return;
+        const auto alone = [&](const LocalRay& ray, RayQuery& query) HWY_ATTR {
+            NoCounters none;
+            return run<Q>(bvh, set, ray, query, none);
+        };
+        with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
+            bvh.nodes.visit([&](const auto* nodes) HWY_ATTR {
+                CrowdTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, TriangleSet,
+                               std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, crowd)
                     .run(alone);
             });
         });

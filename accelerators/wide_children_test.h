@@ -16,6 +16,10 @@ namespace HWY_NAMESPACE {
 /// Children that are tested at once.
 template <class Node>
 using NodeLanes = hn::CappedTag<float, Node::width>;
+template <class Node>
+using ChildLanes = hn::Vec<NodeLanes<Node>>;
+template <class Node>
+using ChildMask = hn::Mask<NodeLanes<Node>>;
 
 /// Tests all children of a node, as many at once as a vector has lanes.
 /// @param t_near  Node::width floats: where the ray enters each child
@@ -24,8 +28,12 @@ template <class Test, class Node>
 HWY_INLINE uint32_t test_children(const Test& test, const Node& node, float t_low, float t_cull,
                                   float* HWY_RESTRICT t_near) {
     uint32_t hits = 0;
-    for (size_t i = 0; i < Node::width; i += hn::MaxLanes(NodeLanes<Node>()))
-        hits |= test.part(node, i, t_low, t_cull, t_near) << i;
+    const NodeLanes<Node> d;
+    for (size_t i = 0; i < Node::width; i += hn::MaxLanes(d)) {
+        ChildLanes<Node> enter;
+        hits |= mask_bits(d, test.lanes(node, i, t_low, t_cull, enter)) << i;
+        hn::Store(enter, d, t_near + i);
+    }
     return hits;
 }
 
@@ -60,9 +68,10 @@ class ChildrenTest<WideNode<W>> {
         hn::Store(hn::Mul(hn::LoadU(f4, ray.far_origin), hn::LoadU(f4, ray.far_rcp)), f4, leave_);
     }
 
-    /// Of the children from `first` on: see test_children.
-    HWY_INLINE uint32_t part(const Node& node, size_t first, float t_low, float t_cull,
-                             float* HWY_RESTRICT t_near) const {
+    /// Of the children from `first` on, as many as a vector has lanes: where the ray enters each.
+    /// @return  which may be hit within [t_low, t_cull]
+    HWY_INLINE ChildMask<Node> lanes(const Node& node, size_t first, float t_low, float t_cull,
+                                     ChildLanes<Node>& enter) const {
         const NodeLanes<Node> d;
         const auto* const bytes = reinterpret_cast<const char*>(&node);
         const auto at = [&](size_t offset, const float& base, const float& rcp) HWY_ATTR {
@@ -75,10 +84,9 @@ class ChildrenTest<WideNode<W>> {
         const auto x1 = at(offsets_.leave[0], leave_[0], ray_.far_rcp[0]);
         const auto y1 = at(offsets_.leave[1], leave_[1], ray_.far_rcp[1]);
         const auto z1 = at(offsets_.leave[2], leave_[2], ray_.far_rcp[2]);
-        const auto enter = hn::Max(hn::Max(x0, y0), hn::Max(z0, hn::Set(d, t_low)));
+        enter = hn::Max(hn::Max(x0, y0), hn::Max(z0, hn::Set(d, t_low)));
         const auto leave = hn::Min(hn::Min(x1, y1), hn::Min(z1, hn::Set(d, t_cull)));
-        hn::Store(enter, d, t_near + first);
-        return mask_bits(d, hn::Le(enter, leave));
+        return hn::Le(enter, leave);
     }
 
   private:
@@ -97,9 +105,9 @@ class ChildrenTest<QuantisedNode<W>> {
     explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
         : ray_(ray), offsets_(ray, offsetof(Node, planes), W) {}
 
-    /// Of the children from `first` on: see test_children.
-    HWY_INLINE uint32_t part(const Node& node, size_t first, float t_low, float t_cull,
-                             float* HWY_RESTRICT t_near) const {
+    /// Of the children from `first` on, as above.
+    HWY_INLINE ChildMask<Node> lanes(const Node& node, size_t first, float t_low, float t_cull,
+                                     ChildLanes<Node>& enter) const {
         const NodeLanes<Node> d;
         const hn::Rebind<uint8_t, NodeLanes<Node>> d8;
         const hn::Rebind<int32_t, NodeLanes<Node>> d32;
@@ -109,13 +117,14 @@ class ChildrenTest<QuantisedNode<W>> {
             return hn::MulAdd(plane, hn::Set(d, node.scale[a] * rcp[a]),
                               hn::Set(d, (node.origin[a] - origin[a]) * rcp[a]));
         };
-        auto enter = hn::Set(d, t_low), leave = hn::Set(d, t_cull);
+        enter = hn::Set(d, t_low);
+        auto leave = hn::Set(d, t_cull);
         for (int a = 0; a < 3; ++a) {
             enter = hn::Max(enter, at(offsets_.enter[a], a, ray_.near_origin, ray_.rcp));
             leave = hn::Min(leave, at(offsets_.leave[a], a, ray_.far_origin, ray_.far_rcp));
         }
-        hn::Store(enter, d, t_near + first);
-        return mask_bits(d, hn::Le(enter, leave)) & ((1u << node.children) - 1) >> first;
+        const auto used = hn::FirstN(d, node.children > first ? node.children - first : 0);
+        return hn::And(hn::Le(enter, leave), used);
     }
 
   private:

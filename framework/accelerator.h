@@ -24,7 +24,7 @@ namespace HWY_NAMESPACE {
 ///   template <Query, class Set, class Counters>
 ///   static bool run(structure, set, ray, query, counters)   // true: an `any` query is answered
 /// and, if it traces RayPackets, takes_packets(structure) and run_packet<Query>(structure, set,
-/// packet).
+/// packet), and, if it traces RayCrowds, run_crowd<Query>(structure, set, crowd).
 /// Each override holds its own specialised copy of that traversal, so that over triangles a ray
 /// makes no indirect call below the virtual one. Counting is never timed and counts the same on
 /// every target, so counted traversals exist for the baseline only (`run_counted`).
@@ -64,6 +64,15 @@ class AcceleratedObject final : public Primitive {
     void any_packet([[maybe_unused]] RayPacket& packet) const override {
         if constexpr (has_packets)
             Traversal::template run_packet<Query::any>(structure_, *set_, packet);
+    }
+    bool takes_crowds() const override { return has_crowds; }
+    void closest_crowd([[maybe_unused]] RayCrowd& crowd) const override {
+        if constexpr (has_crowds)
+            Traversal::template run_crowd<Query::closest>(structure_, *set_, crowd);
+    }
+    void any_crowd([[maybe_unused]] RayCrowd& crowd) const override {
+        if constexpr (has_crowds)
+            Traversal::template run_crowd<Query::any>(structure_, *set_, crowd);
     }
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
         run_counted(Query::closest, structure_, *set_, ray, query, counters);
@@ -121,6 +130,10 @@ class AcceleratedObject final : public Primitive {
   private:
     static constexpr bool has_packets = requires(const Structure& s) {
         Traversal::takes_packets(s);
+    };
+    static constexpr bool has_crowds =
+        requires(const Structure& structure, const Set& set, RayCrowd& crowd) {
+        Traversal::template run_crowd<Query::any>(structure, set, crowd);
     };
     friend class AcceleratedPart<Structure, Traversal, Set>;
     using Part = AcceleratedPart<Structure, Traversal, Set>;

@@ -9,6 +9,7 @@
 #include <new>
 #include <unordered_set>
 
+#include "framework/crowds.h"
 #include "framework/exact_nearest.h"
 #include "framework/ray_order.h"
 #include "framework/ray_packet.h"
@@ -94,7 +95,8 @@ void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one,
                 packet.load(&rays[i]);
                 left = take_together(packet, [&] { together(packet, i); });
                 const auto taken = uint32_t(std::popcount(~left & RayPacket::everyone));
-                pause = packet.was_futile(taken) ? std::min(2 * pause + 1, longest_pause) : pause / 2;
+                pause =
+                    packet.was_futile(taken) ? std::min(2 * pause + 1, longest_pause) : pause / 2;
                 left_out = pause;
             }
             for (; left; left &= left - 1) one(i + size_t(std::countr_zero(left)));
@@ -127,6 +129,17 @@ void Primitive::in_good_order(std::span<const Ray> rays, Mode mode, const One& o
     }
 }
 
+template <class One, class Together, class Trace, class Keep>
+void Primitive::stream(std::span<const Ray> rays, Mode mode, const One& one,
+                       const Together& together, const Trace& trace, const Keep& keep) const {
+    if (mode == Mode::exact || rays.size() < RayCrowd::most || !takes_crowds())
+        return in_good_order(rays, mode, one, together);
+    Crowds crowds(rays, magnitude_, mode, one, trace, keep);
+    in_good_order(
+        rays, mode, [&](size_t i) { crowds.add(i); }, together);
+    crowds.finish();
+}
+
 Hit Primitive::intersect(const Ray& ray, Mode mode) const {
     if (HWY_UNLIKELY(mode == Mode::exact)) return closest_exactly(ray, nullptr);
     RayQuery query;
@@ -150,7 +163,7 @@ bool Primitive::occluded(const Ray& ray, Mode mode) const {
 
 void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode) const {
     assert(rays.size() == hits.size());
-    in_good_order(
+    stream(
         rays, mode, [&](size_t i) { hits[i] = intersect(rays[i], mode); },
         [&](RayPacket& packet, size_t first) {
             closest_packet(packet);
@@ -158,12 +171,14 @@ void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode m
                 const auto r = uint32_t(std::countr_zero(left));
                 hits[first + r] = packet.hit(r);
             }
-        });
+        },
+        [&](RayCrowd& crowd) { closest_crowd(crowd); },
+        [&](size_t i, const RayQuery& query, float scale, bool) { hits[i] = query.hit(scale); });
 }
 
 void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, Mode mode) const {
     assert(rays.size() == results.size());
-    in_good_order(
+    stream(
         rays, mode, [&](size_t i) { results[i] = occluded(rays[i], mode); },
         [&](RayPacket& packet, size_t first) {
             any_packet(packet);
@@ -171,7 +186,9 @@ void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, 
                 const auto r = uint32_t(std::countr_zero(left));
                 results[first + r] = packet.found >> r & 1;
             }
-        });
+        },
+        [&](RayCrowd& crowd) { any_crowd(crowd); },
+        [&](size_t i, const RayQuery&, float, bool found) { results[i] = found; });
 }
 
 Hit Primitive::intersect(const Ray& ray, Counters& counters, Mode mode) const {

@@ -62,6 +62,7 @@ class PartCache {
 };
 
 struct RayPacket;
+struct RayCrowd;
 
 /// One object that rays can meet: a set of shapes with its accelerator, an instance of another
 /// primitive, or a whole scene. An accelerator is itself a Primitive, so any may hold any.
@@ -86,8 +87,9 @@ class Primitive {
     bool occluded(const Ray& ray, Mode mode = Mode::robust) const;
     /// The same for many rays; results are in the order of the rays and equal the single calls bit
     /// for bit. Neighbours that go together are traced together where the structure can: see
-    /// RayPacket. Thousands of rays that jump about in a structure larger than the last cache are
-    /// traced in a better order: see RayOrder. Spans must have equal length.
+    /// RayPacket. Others are traced in turns where that is faster: see RayCrowd. Thousands of rays
+    /// that jump about in a structure larger than the last cache are traced in a better order: see
+    /// RayOrder. Spans must have equal length.
     void intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode mode = Mode::robust) const;
     void occluded(std::span<const Ray> rays, std::span<uint8_t> results,
                   Mode mode = Mode::robust) const;
@@ -106,6 +108,11 @@ class Primitive {
     virtual bool takes_packets() const { return false; }
     virtual void closest_packet(RayPacket&) const {}
     virtual void any_packet(RayPacket&) const {}
+    /// Whether rays that go each its own way can be traced in turns: see RayCrowd. If not, the next
+    /// two are never called.
+    virtual bool takes_crowds() const { return false; }
+    virtual void closest_crowd(RayCrowd&) const {}
+    virtual void any_crowd(RayCrowd&) const {}
     /// @}
 
     /// Expected cost in nanoseconds of a ray that meets the bounds (closest hit, ignoring that rays
@@ -142,8 +149,8 @@ class Primitive {
                                                   const TraversalStart&) const {
         return nullptr;
     }
-    /// A few boxes that hold, together, what bounds() holds, and leave out empty corners of it where
-    /// the root of a structure has children. For what turns them: see Instance.
+    /// A few boxes that hold, together, what bounds() holds, and leave out empty corners of it
+    /// where the root of a structure has children. For what turns them: see Instance.
     virtual std::vector<Bounds3> cover() const { return {bounds()}; }
     /// Largest absolute coordinates of the shapes inside; more than those of the bounds where this
     /// is a part whose shapes stick out of it.
@@ -184,6 +191,10 @@ class Primitive {
     template <class One, class Together>
     void as_given(std::span<const Ray> rays, Mode mode, const One& one,
                   const Together& together) const;
+    /// The same with trace(crowd) and keep(i, query, scale, found) for rays of a crowd: see Crowds.
+    template <class One, class Together, class Trace, class Keep>
+    void stream(std::span<const Ray> rays, Mode mode, const One& one, const Together& together,
+                const Trace& trace, const Keep& keep) const;
     enum : uint8_t { unknown_size, small_size, large_size };
     mutable std::atomic<uint8_t> size_known_ = unknown_size;
 };

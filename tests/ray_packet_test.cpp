@@ -14,6 +14,7 @@
 #include "tests/catch.h"
 #include "tests/hard_scenes.h"
 #include "tests/height_field.h"
+#include "tests/isas.h"
 
 namespace crofton {
 namespace {
@@ -65,18 +66,6 @@ size_t check_span(const Primitive& object, const std::vector<Ray>& rays, Mode mo
     }
     CHECK(wrong == 0);
     return found;
-}
-
-/// Calls f() under every instruction set.
-template <class F>
-void for_each_isa(const F& f) {
-    const std::string before = active_isa();
-    for (const std::string& isa : available_isas()) {
-        INFO(isa);
-        set_isa(isa);
-        f();
-    }
-    set_isa(before);
 }
 
 Bounds3 unit_box() {

@@ -1,0 +1,209 @@
+// Traversal of wide nodes by crowds of rays; included once per target.
+#if defined(CROFTON_ACCELERATORS_WIDE_CROWD_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef CROFTON_ACCELERATORS_WIDE_CROWD_H_
+#undef CROFTON_ACCELERATORS_WIDE_CROWD_H_
+#else
+#define CROFTON_ACCELERATORS_WIDE_CROWD_H_
+#endif
+
+#include <hwy/cache_control.h>
+
+#include <cstddef>
+#include <new>
+
+#include "accelerators/packed_lanes.h"
+#include "accelerators/wide_children_test.h"
+#include "framework/compact_patch_test.h"
+#include "framework/patch_test.h"
+#include "framework/ray_crowd.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace crofton {
+namespace HWY_NAMESPACE {
+
+/// Traces a crowd: `slots` rays are under way, each goes a step in turn, and where one is done the
+/// next takes its place.
+///
+/// A ray asks for what it needs next and comes back when fifteen others have gone a step, so that
+/// as many requests to memory are on their way at a time. A step through a node has no branch that
+/// depends on what is hit: all that is left of its children goes on the stack in one piece, the
+/// nearest, found as a minimum, is next, and where nothing is hit the stack's topmost that is near
+/// enough. Leaves are kept until few rays are at nodes.
+///
+/// Hits do not depend on which further leaves are visited, so they are those of single rays.
+template <Query Q, class Node, class Set, class Leaves>
+class CrowdTraversal {
+  public:
+    HWY_INLINE CrowdTraversal(const Node* nodes, const Leaves& leaves, const Set& set,
+                              RayCrowd& crowd)
+        : nodes_(nodes), leaves_(leaves), set_(set), crowd_(crowd) {}
+
+    /// @param alone  (ray, query): traces a ray from the root, and returns whether that answered an
+    ///               `any` query
+    template <class F>
+    HWY_INLINE void run(const F& alone) {
+        for (uint32_t s = 0; s < slots && next_ < crowd_.size; ++s) start(slot_[s]);
+        while (at_nodes_.size + at_leaves_.size > 0) {
+            for (const Waiting now = at_nodes_.take(); Slot * slot : now) go_down(*slot);
+            if (at_nodes_.size > few) continue;
+            for (const Waiting now = at_leaves_.take(); Slot * slot : now) visit_leaf(*slot, alone);
+        }
+    }
+
+  private:
+    static constexpr uint32_t slots = 16, few = 4;
+    static constexpr NodeLanes<Node> d{};
+    static constexpr uint32_t N = hn::MaxLanes(d), W = Node::width;
+    using D32 = hn::RebindToUnsigned<NodeLanes<Node>>;
+    /// Children on a stack; a ray with more goes on alone.
+    static constexpr uint32_t room = 96;
+    static constexpr float infinity = std::numeric_limits<float>::infinity();
+
+    /// A ray on its way. Its stack begins with N places that are never near enough, for a vector to
+    /// reach below the first, and with the end, which always is.
+    struct Slot {
+        alignas(alignof(ChildrenTest<Node>)) std::byte boxes_memory[sizeof(ChildrenTest<Node>)];
+        const LocalRay* ray;
+        RayQuery* query;
+        float t_low;
+        uint32_t index;    ///< in the crowd
+        uint32_t current;  ///< a WideChild
+        uint32_t top;
+        float t[N + 1 + room + W];
+        uint32_t child[N + 1 + room + W];
+
+        HWY_INLINE const ChildrenTest<Node>& boxes() const {
+            return *reinterpret_cast<const ChildrenTest<Node>*>(boxes_memory);
+        }
+    };
+    struct Waiting {
+        Slot* slot[slots];
+        uint32_t size = 0;
+
+        HWY_INLINE Waiting take() {
+            const Waiting all = *this;
+            size = 0;
+            return all;
+        }
+        Slot* const* begin() const { return slot; }
+        Slot* const* end() const { return slot + size; }
+    };
+
+    HWY_INLINE void start(Slot& slot) {
+        slot.index = next_++;
+        slot.ray = crowd_.local[slot.index];
+        slot.query = crowd_.query[slot.index];
+        new (slot.boxes_memory) ChildrenTest<Node>(*slot.ray);
+        slot.t_low = slot.query->t_low;
+        hn::StoreU(hn::Set(d, infinity), d, slot.t);
+        slot.t[N] = -infinity;
+        slot.child[N] = WideChild::end;
+        slot.top = N + 1;
+        go_to(slot, 0);
+    }
+    HWY_INLINE void go_to(Slot& slot, uint32_t child) {
+        slot.current = child;
+        const bool leaf = WideChild::is_leaf(child);
+        at_nodes_.slot[at_nodes_.size % slots] = &slot;
+        at_leaves_.slot[at_leaves_.size % slots] = &slot;
+        at_nodes_.size += !leaf;
+        at_leaves_.size += leaf;
+        prefetch(child, leaf);
+    }
+    HWY_INLINE void prefetch(uint32_t child, bool leaf) const {
+        const char* begin = reinterpret_cast<const char*>(&node_at(nodes_, child));
+        size_t lines = (sizeof(Node) + 63) / 64;
+        if (leaf) {
+            if constexpr (!std::is_same_v<Leaves, TrianglePatches>) return;
+            begin = reinterpret_cast<const char*>(leaves_.patches() + WideChild::first(child));
+            lines = sizeof(TrianglePatch) / 64;
+        }
+        for (size_t i = 0; i < lines; ++i) hwy::Prefetch(begin + 64 * i);
+    }
+    /// Where the stack's topmost child is that begins no further than t_cull.
+    HWY_INLINE uint32_t nearer_than(const Slot& slot, float t_cull) const {
+        for (uint32_t top = slot.top;; top -= N) {
+            const auto t = hn::LoadU(d, slot.t + (top - N));
+            const uint32_t beyond = mask_bits(d, hn::Gt(t, hn::Set(d, t_cull)));
+            const uint32_t near = ~beyond & ((1u << N) - 1);
+            if (HWY_LIKELY(near)) return top - N + highest(near);
+        }
+    }
+    static HWY_INLINE uint32_t highest(uint32_t bits) {
+        return 31 - uint32_t(hwy::Num0BitsAboveMS1Bit_Nonzero32(bits));
+    }
+    static HWY_INLINE uint32_t select(bool first, uint32_t a, uint32_t b) {
+        return b ^ ((a ^ b) & (0u - uint32_t(first)));  // never a branch
+    }
+
+    HWY_INLINE void go_down(Slot& slot) {
+        const Node& node = node_at(nodes_, slot.current);
+        const float t_cull = slot.query->t_cull;
+        ChildLanes<Node> t[W / N];
+        const hn::RebindToSigned<NodeLanes<Node>> di;
+        const auto none = hn::Set(di, std::numeric_limits<int32_t>::max());
+        auto nearest = none;
+        uint32_t hits = 0;
+        for (uint32_t p = 0; p < W / N; ++p) {
+            const auto mask = slot.boxes().lanes(node, p * N, slot.t_low, t_cull, t[p]);
+            hits |= mask_bits(d, mask) << p * N;
+            // As integers distances are in their order (below zero not the best one), and the last
+            // bits, which do not matter for it, say whose they are.
+            if constexpr (Q == Query::closest) {
+                const auto key =
+                    hn::Or(hn::AndNot(hn::Set(di, int32_t(W) - 1), hn::BitCast(di, t[p])),
+                           hn::Iota(di, int32_t(p * N)));
+                nearest = hn::Min(nearest, hn::IfThenElse(hn::RebindMask(di, mask), key, none));
+            }
+        }
+        const uint32_t first = Q == Query::closest
+                                   ? uint32_t(hn::GetLane(hn::MinOfLanes(di, nearest))) % W
+                                   : lowest(hits | 1u << (W - 1));
+        const uint32_t back = nearer_than(slot, t_cull), from_stack = slot.child[back];
+        const uint32_t rest = hits & ~(1u << first);
+        uint32_t top = slot.top;
+        for (uint32_t p = 0; p < W / N; ++p) {
+            const uint32_t part = rest >> p * N & ((1u << N) - 1);
+            const PackedLanes<NodeLanes<Node>> pack(part);
+            hn::StoreU(pack(t[p]), d, slot.t + top);
+            hn::StoreU(pack(hn::LoadU(D32(), node.child + p * N)), D32(), slot.child + top);
+            top += uint32_t(hwy::PopCount(part));
+        }
+        slot.top = select(hits != 0, top, back);
+        const uint32_t child = select(hits != 0, node.child[first], from_stack);
+        go_to(slot, HWY_UNLIKELY(slot.top > room) ? WideChild::overflow : child);
+    }
+
+    template <class F>
+    HWY_INLINE void visit_leaf(Slot& slot, const F& alone) {
+        if (slot.current != WideChild::end) {
+            const bool found =
+                slot.current == WideChild::overflow ? alone(*slot.ray, *slot.query) : test(slot);
+            if (Q == Query::any && found) crowd_.found |= uint64_t(1) << slot.index;
+            if (!found && slot.current != WideChild::overflow) {
+                slot.top = nearer_than(slot, slot.query->t_cull);
+                return go_to(slot, slot.child[slot.top]);
+            }
+        }
+        if (next_ < crowd_.size) start(slot);
+    }
+    HWY_INLINE bool test(const Slot& slot) const {
+        NoCounters none;
+        return test_leaf<Q>(set_, leaves_, WideChild::first(slot.current),
+                            WideChild::count(slot.current), *slot.ray, *slot.query, none);
+    }
+
+    const Node* const nodes_;
+    const Leaves& leaves_;
+    const Set& set_;
+    RayCrowd& crowd_;
+    uint32_t next_ = 0;  ///< of the crowd
+    Waiting at_nodes_, at_leaves_;
+    Slot slot_[slots];
+};
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+#endif

@@ -1,0 +1,103 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <span>
+
+#include "framework/ray_crowd.h"
+
+namespace crofton {
+
+/// Which of two ways takes less time, found by trying both in turns, now and then: the one that
+/// wins more of the pairs, as neighbours in a stream take about as long. What is large for a
+/// machine's caches, and what is gained by having several steps under way, is different for every
+/// machine, structure and stream; results are the same either way.
+class FasterWay {
+  public:
+    /// @return  whether to take the second way next
+    bool second() const { return trying() ? turn_ % 2 == 1 : 2 * wins_ > pairs; }
+    /// The way named by `second` took so long.
+    void took(double time) {
+        if (trying()) {
+            if (turn_ == 0) wins_ = 0;
+            if (turn_ % 2 == 1) wins_ += time < before_;
+            before_ = time;
+        }
+        turn_ = (turn_ + 1) % period;
+    }
+
+  private:
+    static constexpr int pairs = 7, period = 256;
+    bool trying() const { return turn_ < 2 * pairs; }
+
+    int turn_ = 0, wins_ = 0;
+    double before_ = 0;
+};
+
+/// Traces rays of a stream that do not go together, in crowds where that is faster.
+/// @tparam One    (i): traces ray i by itself
+/// @tparam Trace  (crowd): traces a crowd
+/// @tparam Keep   (i, query, scale, found): keeps what ray i has found, see crofton::prepare
+template <class One, class Trace, class Keep>
+class Crowds {
+  public:
+    /// @param magnitude, mode  see crofton::prepare and RayQuery
+    Crowds(std::span<const Ray> rays, float magnitude, Mode mode, const One& one,
+           const Trace& trace, const Keep& keep)
+        : rays_(rays), magnitude_(magnitude), mode_(mode), one_(one), trace_(trace), keep_(keep) {}
+
+    void add(size_t i) {
+        waiting_[count_++] = i;
+        if (count_ < RayCrowd::most) return;
+        const auto begin = Clock::now();
+        way_.second() ? trace_crowd() : trace_each();
+        way_.took(std::chrono::duration<double>(Clock::now() - begin).count());
+    }
+    /// Traces those that are left.
+    void finish() { way_.second() && count_ > 16 ? trace_crowd() : trace_each(); }
+
+  private:
+    using Clock = std::chrono::steady_clock;
+    struct Single {
+        LocalRay local;
+        RayQuery query;
+        float scale;
+        size_t index;
+    };
+
+    void trace_each() {
+        for (size_t k = 0; k < count_; ++k) one_(waiting_[k]);
+        count_ = 0;
+    }
+    void trace_crowd() {
+        RayCrowd crowd;
+        for (size_t k = 0; k < count_; ++k) {
+            Single& s = single_[crowd.size];
+            s.index = waiting_[k];
+            if (!prepare(rays_[s.index], magnitude_, s.query, s.local, s.scale)) {
+                one_(s.index);
+                continue;
+            }
+            s.query.mode = mode_;
+            crowd.local[crowd.size] = &s.local;
+            crowd.query[crowd.size++] = &s.query;
+        }
+        trace_(crowd);
+        for (uint32_t k = 0; k < crowd.size; ++k)
+            keep_(single_[k].index, single_[k].query, single_[k].scale, crowd.found >> k & 1);
+        count_ = 0;
+    }
+
+    std::span<const Ray> rays_;
+    float magnitude_;
+    Mode mode_;
+    const One& one_;
+    const Trace& trace_;
+    const Keep& keep_;
+    FasterWay way_;
+    size_t count_ = 0;
+    size_t waiting_[RayCrowd::most];
+    Single single_[RayCrowd::most];
+};
+
+}  // namespace crofton

@@ -1,0 +1,132 @@
+#include "framework/ray_crowd.h"
+
+#include <cmath>
+#include <vector>
+
+#include "framework/crowds.h"
+#include "framework/primitive.h"
+#include "framework/registry.h"
+#include "framework/triangle_set.h"
+#include "tests/catch.h"
+#include "tests/hard_scenes.h"
+#include "tests/isas.h"
+
+namespace crofton {
+namespace {
+
+struct Prepared {
+    const Ray* ray;
+    LocalRay local;
+    RayQuery query;
+    float scale;
+};
+
+/// How many rays have another closest hit, or another answer to whether there is one, in crowds of
+/// up to `most` than alone.
+size_t different_in_crowds(const Primitive& object, const std::vector<Ray>& rays, Mode mode,
+                           size_t most) {
+    size_t different = 0;
+    const auto trace = [&](std::vector<Prepared>& some, bool any) {
+        RayCrowd crowd;
+        for (Prepared& p : some) {
+            crowd.local[crowd.size] = &p.local;
+            crowd.query[crowd.size++] = &p.query;
+        }
+        any ? object.any_crowd(crowd) : object.closest_crowd(crowd);
+        for (size_t i = 0; i < some.size(); ++i) {
+            const Prepared& p = some[i];
+            if (any)
+                different += (crowd.found >> i & 1) != object.occluded(*p.ray, mode);
+            else
+                different += p.query.hit(p.scale) != object.intersect(*p.ray, mode);
+        }
+        some.clear();
+    };
+    for (const bool any : {false, true}) {
+        std::vector<Prepared> some;
+        for (const Ray& ray : rays) {
+            Prepared p;
+            p.ray = &ray;
+            if (!prepare(ray, object.magnitudes().maxCoeff(), p.query, p.local, p.scale)) continue;
+            p.query.mode = mode;
+            some.push_back(p);
+            if (some.size() == most) trace(some, any);
+        }
+        trace(some, any);
+    }
+    return different;
+}
+
+TEST_CASE("ray crowd: every ray has the bits of a ray alone, in every form of wide nodes") {
+    for (const test::HardScene& scene : test::hard_scenes()) {
+        if (!std::holds_alternative<std::shared_ptr<const TriangleSet>>(scene.set)) continue;
+        INFO(scene.name);
+        for (const char* width : {"4", "8", "16"})
+            for (const char* nodes : {"full", "quantised"})
+                for (const char* leaves : {"full", "compact"})
+                    for_each_isa([&] {
+                        INFO(width << " " << nodes << " " << leaves);
+                        const auto object =
+                            accelerator("wide_bvh")
+                                .build(scene.set, {{"width", std::string(width)},
+                                                   {"nodes", std::string(nodes)},
+                                                   {"leaves", std::string(leaves)}});
+                        REQUIRE(object->takes_crowds());
+                        CHECK(different_in_crowds(*object, scene.rays, Mode::robust,
+                                                  RayCrowd::most) == 0);
+                    });
+    }
+}
+
+TEST_CASE("ray crowd: other modes, and crowds of other sizes") {
+    const auto scenes = test::hard_scenes();
+    const test::HardScene& scene = scenes.front();
+    const auto object = accelerator("wide_bvh").build(scene.set, {});
+    for (const Mode mode : {Mode::fast, Mode::robust, Mode::double_precision})
+        for (const size_t most : {size_t(1), size_t(3), size_t(17)})
+            CHECK(different_in_crowds(*object, scene.rays, mode, most) == 0);
+}
+
+TEST_CASE("ray crowd: a ray with more before it than its stack holds goes on alone") {
+    // Each triangle is a fifth larger than the one before it, so a tree puts the few largest of any
+    // of them aside, and a ray that begins at the smallest passes these by all the way down.
+    constexpr uint32_t count = 300;
+    std::vector<Vec3f> corners;
+    std::vector<std::array<uint32_t, 3>> triangles;
+    for (uint32_t i = 0; i < count; ++i) {
+        const float size = 1e-6f * std::pow(1.2f, float(i));
+        corners.insert(corners.end(),
+                       {Vec3f(-size, -size, size), Vec3f(size, -size, size), Vec3f(0, size, size)});
+        triangles.push_back({3 * i, 3 * i + 1, 3 * i + 2});
+    }
+    const auto set = std::make_shared<const TriangleSet>(corners, triangles);
+    std::vector<Ray> rays;
+    for (uint32_t i = 0; i < 40; ++i) {
+        Ray ray;
+        ray.direction = Vec3f(1e-3f * float(i) - 0.02f, 0.01f, 1);
+        ray.t_min = i % 2 ? 0 : 1e-6f * std::pow(1.2f, float(7 * i));
+        rays.push_back(ray);
+    }
+    for_each_isa([&] {
+        const auto object = accelerator("wide_bvh").build(set, {{"max_leaf_size", int64_t(1)}});
+        CHECK(different_in_crowds(*object, rays, Mode::robust, RayCrowd::most) == 0);
+    });
+}
+
+TEST_CASE("ray crowd: of two ways the faster one is taken, until it is the slower one") {
+    FasterWay way;
+    const auto second_of = [&](int turns, double first_takes, double second_takes) {
+        int second = 0;
+        for (int i = 0; i < turns; ++i) {
+            second += way.second();
+            way.took(way.second() ? second_takes : first_takes);
+        }
+        return second;
+    };
+    CHECK(second_of(1024, 1.0, 0.9) > 900);
+    CHECK(second_of(1024, 0.9, 1.0) < 100);
+    CHECK(second_of(1024, 1.0, 0.9) > 900);
+}
+
+}  // namespace
+}  // namespace crofton
