@@ -47,10 +47,13 @@ struct WideBvhTraversal {
         });
     }
 
-    /// Of triangles: the structures that are too large for caches are theirs.
-    template <Query Q>
-    static void run_crowd(const WideBvh<TriangleSet>& bvh, const TriangleSet& set,
-                          RayCrowd& crowd) {
+    /// Of triangles, whose structures may be too large for caches, and of objects, to bring rays
+    /// that enter one of them there together.
+    template <Query Q, class Set>
+    requires(std::is_same_v<Set, TriangleSet> ||
+             std::is_same_v<Set, ObjectSet>) static void run_crowd(const WideBvh<Set>& bvh,
+                                                                   const Set& set,
+                                                                   RayCrowd& crowd) {
         if (bvh.box.empty()) return;
         const auto alone = [&](const LocalRay& ray, RayQuery& query) HWY_ATTR {
             NoCounters none;
@@ -58,7 +61,7 @@ struct WideBvhTraversal {
         };
         with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
             bvh.nodes.visit([&](const auto* nodes) HWY_ATTR {
-                CrowdTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, TriangleSet,
+                CrowdTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
                                std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, crowd)
                     .run(alone);
             });

@@ -8,8 +8,10 @@
 
 #include <hwy/cache_control.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <new>
+#include <span>
 
 #include "accelerators/packed_lanes.h"
 #include "accelerators/wide_children_test.h"
@@ -44,14 +46,20 @@ class CrowdTraversal {
     HWY_INLINE void run(const F& alone) {
         for (uint32_t s = 0; s < slots && next_ < crowd_.size; ++s) start(slot_[s]);
         while (at_nodes_.size + at_leaves_.size > 0) {
-            for (const Waiting now = at_nodes_.take(); Slot * slot : now) go_down(*slot);
+            const Waiting down = at_nodes_.take();
+            for (Slot* slot : down) go_down(*slot);
             if (at_nodes_.size > few) continue;
-            for (const Waiting now = at_leaves_.take(); Slot * slot : now) visit_leaf(*slot, alone);
+            const Waiting here = at_leaves_.take();
+            if constexpr (over_objects) visit_objects(here);
+            for (Slot* slot : here) visit_leaf(*slot, alone);
         }
     }
 
   private:
-    static constexpr uint32_t slots = 16, few = 4;
+    static constexpr bool over_objects = std::is_same_v<Set, ObjectSet>;
+    /// Rays on their way. Over objects as many as there are, so that those in one object are many.
+    static constexpr uint32_t slots = over_objects ? RayCrowd::most : 16;
+    static constexpr uint32_t few = 4;
     static constexpr NodeLanes<Node> d{};
     static constexpr uint32_t N = hn::MaxLanes(d), W = Node::width;
     using D32 = hn::RebindToUnsigned<NodeLanes<Node>>;
@@ -104,8 +112,8 @@ class CrowdTraversal {
     HWY_INLINE void go_to(Slot& slot, uint32_t child) {
         slot.current = child;
         const bool leaf = WideChild::is_leaf(child);
-        at_nodes_.slot[at_nodes_.size % slots] = &slot;
-        at_leaves_.slot[at_leaves_.size % slots] = &slot;
+        at_nodes_.slot[at_nodes_.size] = &slot;
+        at_leaves_.slot[at_leaves_.size] = &slot;
         at_nodes_.size += !leaf;
         at_leaves_.size += leaf;
         prefetch(child, leaf);
@@ -114,9 +122,12 @@ class CrowdTraversal {
         const char* begin = reinterpret_cast<const char*>(&node_at(nodes_, child));
         size_t lines = (sizeof(Node) + 63) / 64;
         if (leaf) {
-            if constexpr (!std::is_same_v<Leaves, TrianglePatches>) return;
-            begin = reinterpret_cast<const char*>(leaves_.patches() + WideChild::first(child));
-            lines = sizeof(TrianglePatch) / 64;
+            if constexpr (std::is_same_v<Leaves, TrianglePatches>) {
+                begin = reinterpret_cast<const char*>(leaves_.patches() + WideChild::first(child));
+                lines = sizeof(TrianglePatch) / 64;
+            } else {
+                return;
+            }
         }
         for (size_t i = 0; i < lines; ++i) hwy::Prefetch(begin + 64 * i);
     }
@@ -177,10 +188,14 @@ class CrowdTraversal {
     template <class F>
     HWY_INLINE void visit_leaf(Slot& slot, const F& alone) {
         if (slot.current != WideChild::end) {
-            const bool found =
-                slot.current == WideChild::overflow ? alone(*slot.ray, *slot.query) : test(slot);
-            if (Q == Query::any && found) crowd_.found |= uint64_t(1) << slot.index;
-            if (!found && slot.current != WideChild::overflow) {
+            bool found = is_found(slot);
+            const bool overflow = slot.current == WideChild::overflow;
+            if (overflow)
+                found = alone(*slot.ray, *slot.query);
+            else if constexpr (!over_objects)
+                found = test(slot);
+            if (Q == Query::any && found) set_found(slot);
+            if (!found && !overflow) {
                 slot.top = nearer_than(slot, slot.query->t_cull);
                 return go_to(slot, slot.child[slot.top]);
             }
@@ -191,6 +206,63 @@ class CrowdTraversal {
         NoCounters none;
         return test_leaf<Q>(set_, leaves_, WideChild::first(slot.current),
                             WideChild::count(slot.current), *slot.ray, *slot.query, none);
+    }
+    HWY_INLINE bool is_found(const Slot& slot) const { return crowd_.found >> slot.index & 1; }
+    HWY_INLINE void set_found(const Slot& slot) { crowd_.found |= uint64_t(1) << slot.index; }
+
+    struct Visit {
+        uint32_t object;
+        Slot* slot;
+    };
+    /// Brings the rays at leaves into the objects there: those that enter one object together.
+    HWY_NOINLINE void visit_objects(const Waiting& here) {
+        uint32_t most = 0;
+        const auto count = [](const Slot& slot) {
+            return WideChild::is_none(slot.current) ? 0 : WideChild::count(slot.current);
+        };
+        for (const Slot* slot : here) most = std::max(most, count(*slot));
+        for (uint32_t i = 0; i < most; ++i) {
+            Visit visits[slots];
+            uint32_t size = 0;
+            for (Slot* slot : here) {
+                if (i >= count(*slot) || is_found(*slot)) continue;
+                const uint32_t object = leaves_.references()[WideChild::first(slot->current) + i];
+                float t_near, t_far;
+                if (meets_box(set_.entry(object).bounds, *slot->ray, *slot->query, t_near, t_far))
+                    visits[size++] = {object, slot};
+            }
+            std::sort(visits, visits + size,
+                      [](const Visit& a, const Visit& b) { return a.object < b.object; });
+            for (uint32_t begin = 0, end; begin < size; begin = end) {
+                for (end = begin + 1; end < size && visits[end].object == visits[begin].object;)
+                    ++end;
+                enter(visits[begin].object, {visits + begin, visits + end});
+            }
+        }
+    }
+    void enter(uint32_t object, std::span<const Visit> visits) {
+        constexpr size_t least_together = 3;
+        const ObjectSet::Entry& entry = set_.entry(object);
+        if (visits.size() < least_together || crowd_.depth == RayCrowd::deepest ||
+            !entry.primitive->takes_crowds()) {
+            NoCounters none;
+            for (const Visit& visit : visits)
+                if (enter_object<Q>(set_, object, *visit.slot->ray, *visit.slot->query, none))
+                    set_found(*visit.slot);
+            return;
+        }
+        RayCrowd inside;
+        inside.depth = crowd_.depth + 1;
+        for (const Visit& visit : visits) {
+            visit.slot->query->instance += entry.instance;
+            inside.add(*visit.slot->ray, *visit.slot->query);
+        }
+        Q == Query::any ? entry.primitive->any_crowd(inside)
+                        : entry.primitive->closest_crowd(inside);
+        for (size_t k = 0; k < visits.size(); ++k) {
+            visits[k].slot->query->instance -= entry.instance;
+            if (inside.found >> k & 1) set_found(*visits[k].slot);
+        }
     }
 
     const Node* const nodes_;

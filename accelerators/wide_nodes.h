@@ -20,6 +20,7 @@ struct WideChild {
     static constexpr uint32_t max_first = (1u << first_bits) - 1, max_count = 32;
     /// No children: `first` of a leaf is below max_first. Where a stack ends, or had to.
     static constexpr uint32_t end = ~0u, overflow = end - (1u << first_bits);
+    static bool is_none(uint32_t child) { return child >= overflow && first(child) == max_first; }
     static uint32_t leaf(uint32_t first, uint32_t count) {
         return leaf_bit | (count - 1) << first_bits | first;
     }

@@ -79,10 +79,9 @@ class Crowds {
                 continue;
             }
             s.query.mode = mode_;
-            crowd.local[crowd.size] = &s.local;
-            crowd.query[crowd.size++] = &s.query;
+            crowd.add(s.local, s.query);
         }
-        trace_(crowd);
+        if (crowd.size > 0) trace_(crowd);
         for (uint32_t k = 0; k < crowd.size; ++k)
             keep_(single_[k].index, single_[k].query, single_[k].scale, crowd.found >> k & 1);
         count_ = 0;

@@ -3,10 +3,13 @@
 #include <hwy/base.h>
 
 #include <algorithm>
+#include <bit>
 #include <iterator>
+#include <optional>
 
 #include "framework/archive.h"
 #include "framework/cost.h"
+#include "framework/ray_crowd.h"
 
 namespace crofton {
 namespace {
@@ -46,10 +49,35 @@ template <class Trace>
 bool Instance::inside(const LocalRay& outer, const RayQuery& query, const Trace& trace) const {
     LocalRay inner;
     if (HWY_LIKELY(!outer.frame)) return enter(frame_, query, inner) && trace(inner);
-    const InstanceFrame frame(outer.frame->world_from_object * frame_.world_from_object,
-                              frame_.object_from_world * outer.frame->object_from_world,
-                              object_->magnitudes());
+    const InstanceFrame frame = frame_in(*outer.frame);
     return enter(frame, query, inner) && trace(inner);
+}
+
+template <class Trace>
+void Instance::inside(RayCrowd& outer, const Trace& trace) const {
+    // The rays of a crowd are in one space, so the maps are composed once for all of them.
+    std::optional<InstanceFrame> composed;
+    if (outer.local[0]->frame) composed = frame_in(*outer.local[0]->frame);
+    const InstanceFrame& frame = composed ? *composed : frame_;
+    RayCrowd inner;
+    inner.depth = outer.depth;
+    LocalRay rays[RayCrowd::most];
+    uint32_t place[RayCrowd::most];  // in the outer crowd
+    for (uint32_t i = 0; i < outer.size; ++i) {
+        LocalRay& ray = rays[inner.size];
+        if (!enter(frame, *outer.query[i], ray)) continue;
+        place[inner.size] = i;
+        inner.add(ray, *outer.query[i]);
+    }
+    if (inner.size == 0) return;
+    trace(inner);
+    for (uint64_t left = inner.found; left; left &= left - 1)
+        outer.found |= uint64_t(1) << place[std::countr_zero(left)];
+}
+
+InstanceFrame Instance::frame_in(const InstanceFrame& outer) const {
+    return {outer.world_from_object * frame_.world_from_object,
+            frame_.object_from_world * outer.object_from_world, object_->magnitudes()};
 }
 
 void Instance::closest_local(const LocalRay& ray, RayQuery& query) const {
@@ -62,6 +90,14 @@ void Instance::closest_local(const LocalRay& ray, RayQuery& query) const {
 bool Instance::any_local(const LocalRay& ray, RayQuery& query) const {
     return inside(ray, query,
                   [&](const LocalRay& inner) { return object_->any_local(inner, query); });
+}
+
+void Instance::closest_crowd(RayCrowd& crowd) const {
+    inside(crowd, [&](RayCrowd& inner) { object_->closest_crowd(inner); });
+}
+
+void Instance::any_crowd(RayCrowd& crowd) const {
+    inside(crowd, [&](RayCrowd& inner) { object_->any_crowd(inner); });
 }
 
 void Instance::closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const {

@@ -28,6 +28,9 @@ class Instance final : public Primitive {
     bool any_local(const LocalRay& ray, RayQuery& query) const override;
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override;
     bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override;
+    bool takes_crowds() const override { return object_->takes_crowds(); }
+    void closest_crowd(RayCrowd& crowd) const override;
+    void any_crowd(RayCrowd& crowd) const override;
     double expected_cost() const override;
     StructureStatistics statistics() const override;
     std::string type_name() const override { return registry_name; }
@@ -43,6 +46,11 @@ class Instance final : public Primitive {
     /// trace(inner), unless the ray has no image in the object's space.
     template <class Trace>
     bool inside(const LocalRay& outer, const RayQuery& query, const Trace& trace) const;
+    /// trace(inner) with those of a crowd that have an image in the object's space.
+    template <class Trace>
+    void inside(RayCrowd& outer, const Trace& trace) const;
+    /// Where the object stands, for a ray in an instance of its own.
+    InstanceFrame frame_in(const InstanceFrame& outer) const;
 
     std::shared_ptr<const Primitive> object_;
     InstanceFrame frame_;  ///< where the parent is the world

@@ -1,9 +1,12 @@
 #include "framework/ray_crowd.h"
 
+#include <Eigen/Geometry>
 #include <cmath>
 #include <vector>
 
 #include "framework/crowds.h"
+#include "framework/instance.h"
+#include "framework/object_set.h"
 #include "framework/primitive.h"
 #include "framework/registry.h"
 #include "framework/triangle_set.h"
@@ -28,10 +31,7 @@ size_t different_in_crowds(const Primitive& object, const std::vector<Ray>& rays
     size_t different = 0;
     const auto trace = [&](std::vector<Prepared>& some, bool any) {
         RayCrowd crowd;
-        for (Prepared& p : some) {
-            crowd.local[crowd.size] = &p.local;
-            crowd.query[crowd.size++] = &p.query;
-        }
+        for (Prepared& p : some) crowd.add(p.local, p.query);
         any ? object.any_crowd(crowd) : object.closest_crowd(crowd);
         for (size_t i = 0; i < some.size(); ++i) {
             const Prepared& p = some[i];
@@ -59,7 +59,9 @@ size_t different_in_crowds(const Primitive& object, const std::vector<Ray>& rays
 
 TEST_CASE("ray crowd: every ray has the bits of a ray alone, in every form of wide nodes") {
     for (const test::HardScene& scene : test::hard_scenes()) {
-        if (!std::holds_alternative<std::shared_ptr<const TriangleSet>>(scene.set)) continue;
+        if (!std::holds_alternative<std::shared_ptr<const TriangleSet>>(scene.set) &&
+            !std::holds_alternative<std::shared_ptr<const ObjectSet>>(scene.set))
+            continue;
         INFO(scene.name);
         for (const char* width : {"4", "8", "16"})
             for (const char* nodes : {"full", "quantised"})
@@ -85,6 +87,57 @@ TEST_CASE("ray crowd: other modes, and crowds of other sizes") {
     for (const Mode mode : {Mode::fast, Mode::robust, Mode::double_precision})
         for (const size_t most : {size_t(1), size_t(3), size_t(17)})
             CHECK(different_in_crowds(*object, scene.rays, mode, most) == 0);
+}
+
+std::shared_ptr<const Primitive> wide_bvh_of(std::vector<PlacedPrimitive> objects) {
+    return accelerator("wide_bvh").build(std::make_shared<const ObjectSet>(std::move(objects)), {});
+}
+
+TEST_CASE("ray crowd: objects receive crowds, at any depth, and give the bits of rays alone") {
+    for_each_isa([] {
+        std::vector<Vec3f> positions;
+        std::vector<std::array<uint32_t, 3>> triangles;
+        test::icosphere(2, positions, triangles);
+        const auto set = std::make_shared<const TriangleSet>(positions, triangles);
+        const std::shared_ptr<const Primitive> balls[] = {accelerator("wide_bvh").build(set, {}),
+                                                          accelerator("kdtree").build(set, {})};
+        test::Random random(5);
+        // Turned balls that overlap, of which every fifth is no wide_bvh; and worlds of such
+        // worlds.
+        std::shared_ptr<const Primitive> world = balls[0];
+        for (int level = 0; level < 7; ++level) {
+            std::vector<PlacedPrimitive> objects;
+            for (uint32_t i = 0; i < (level < 2 ? 30u : 3u); ++i) {
+                Transform place;
+                const Eigen::AngleAxisd turn(random.uniform(0, 6),
+                                             random.direction().cast<double>());
+                place.linear = (level == 0 ? 0.4 : 0.7) * turn.toRotationMatrix();
+                place.translation = random.point(1).cast<double>();
+                const auto& inside = level == 0 && i % 5 == 4 ? balls[1] : world;
+                objects.push_back({std::make_shared<const Instance>(inside, place), 1000 * i});
+            }
+            world = wide_bvh_of(objects);
+            INFO("level " << level);
+            REQUIRE(world->takes_crowds());
+            std::vector<Ray> rays(500);
+            for (Ray& ray : rays) {
+                ray.origin = random.point(2);
+                ray.direction = random.point(1) - ray.origin;
+            }
+            size_t hits = 0;
+            for (const Ray& ray : rays) hits += world->intersect(ray).is_hit();
+            CHECK(hits > 100);
+            CHECK(different_in_crowds(*world, rays, Mode::robust, RayCrowd::most) == 0);
+            CHECK(different_in_crowds(*world, rays, Mode::double_precision, 20) == 0);
+        }
+        // A single instance as the root, and rays of which none is one.
+        const Instance root(world, {});
+        std::vector<Ray> nowhere(200);
+        for (Ray& ray : nowhere) ray.direction = Vec3f(0, 0, 0);
+        std::vector<Hit> hits(nowhere.size());
+        root.intersect(nowhere, hits);
+        for (const Hit& hit : hits) CHECK(!hit.is_hit());
+    });
 }
 
 TEST_CASE("ray crowd: a ray with more before it than its stack holds goes on alone") {
