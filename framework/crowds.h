@@ -8,29 +8,30 @@
 
 namespace crofton {
 
-/// Which of two ways takes less time, found by trying both in turns, now and then: the one that
-/// wins more of the pairs, as neighbours in a stream take about as long. What is large for a
-/// machine's caches, and what is gained by having several steps under way, is different for every
-/// machine, structure and stream; results are the same either way.
+/// Which of two ways takes less time, found by trying both in turns, now and then: the first to win
+/// three pairs, since neighbours in a stream take about as long. What is large for a machine's
+/// caches, and what is gained by having several steps under way, is different for every machine,
+/// structure and stream; results are the same either way.
 class FasterWay {
   public:
     /// @return  whether to take the second way next
-    bool second() const { return trying() ? turn_ % 2 == 1 : 2 * wins_ > pairs; }
+    bool second() const { return trying() ? turn_ % 2 == 1 : won_[1] == needed; }
     /// The way named by `second` took so long.
     void took(double time) {
         if (trying()) {
-            if (turn_ == 0) wins_ = 0;
-            if (turn_ % 2 == 1) wins_ += time < before_;
+            if (turn_ % 2 == 1) ++won_[time < before_];
             before_ = time;
         }
-        turn_ = (turn_ + 1) % period;
+        if (++turn_ < period) return;
+        turn_ = 0;
+        won_[0] = won_[1] = 0;
     }
 
   private:
-    static constexpr int pairs = 7, period = 256;
-    bool trying() const { return turn_ < 2 * pairs; }
+    static constexpr int needed = 3, period = 256;
+    bool trying() const { return won_[0] < needed && won_[1] < needed; }
 
-    int turn_ = 0, wins_ = 0;
+    int turn_ = 0, won_[2] = {0, 0};
     double before_ = 0;
 };
 
