@@ -43,9 +43,16 @@ template <class One, class Trace, class Keep>
 class Crowds {
   public:
     /// @param magnitude, mode  see crofton::prepare and RayQuery
+    /// @param way              what is known of which way is faster: the second are crowds
     Crowds(std::span<const Ray> rays, float magnitude, Mode mode, const One& one,
-           const Trace& trace, const Keep& keep)
-        : rays_(rays), magnitude_(magnitude), mode_(mode), one_(one), trace_(trace), keep_(keep) {}
+           const Trace& trace, const Keep& keep, FasterWay& way)
+        : rays_(rays),
+          magnitude_(magnitude),
+          mode_(mode),
+          one_(one),
+          trace_(trace),
+          keep_(keep),
+          way_(way) {}
 
     void add(size_t i) {
         waiting_[count_++] = i;
@@ -94,7 +101,7 @@ class Crowds {
     const One& one_;
     const Trace& trace_;
     const Keep& keep_;
-    FasterWay way_;
+    FasterWay& way_;
     size_t count_ = 0;
     size_t waiting_[RayCrowd::most];
     Single single_[RayCrowd::most];

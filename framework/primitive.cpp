@@ -134,7 +134,13 @@ void Primitive::stream(std::span<const Ray> rays, Mode mode, const One& one,
                        const Together& together, const Trace& trace, const Keep& keep) const {
     if (mode == Mode::exact || rays.size() < RayCrowd::most || !takes_crowds())
         return in_good_order(rays, mode, one, together);
-    Crowds crowds(rays, magnitude_, mode, one, trace, keep);
+    // What this thread has found when it last asked the same, if it was of this structure: short
+    // spans would be over before anything is known.
+    thread_local const Primitive* asked = nullptr;
+    thread_local FasterWay way;
+    if (asked != this) way = {};
+    asked = this;
+    Crowds crowds(rays, magnitude_, mode, one, trace, keep, way);
     in_good_order(
         rays, mode, [&](size_t i) { crowds.add(i); }, together);
     crowds.finish();

@@ -166,6 +166,32 @@ TEST_CASE("ray crowd: a ray with more before it than its stack holds goes on alo
     });
 }
 
+TEST_CASE("ray crowd: short spans through two structures in turns") {
+    const auto scenes = test::hard_scenes();
+    const test::HardScene &a = scenes.front(), &b = scenes.back();
+    const auto first = accelerator("wide_bvh").build(a.set, {}),
+               second = accelerator("wide_bvh").build(b.set, {});
+    size_t different = 0;
+    const auto check = [&](const Primitive& object, const std::vector<Ray>& all, size_t begin,
+                           size_t size) {
+        if (begin + size > all.size()) return;
+        const std::span<const Ray> rays(all.data() + begin, size);
+        std::vector<Hit> hits(size);
+        std::vector<uint8_t> occluded(size);
+        object.intersect(rays, hits);
+        object.occluded(rays, occluded);
+        for (size_t i = 0; i < size; ++i)
+            different += hits[i] != object.intersect(rays[i]) ||
+                         bool(occluded[i]) != object.occluded(rays[i]);
+    };
+    for (size_t i = 0; i < 40; ++i) {
+        const size_t size = 60 + 5 * i;
+        check(*first, a.rays, 7 * i, size);
+        if (i % 3 == 0) check(*second, b.rays, 7 * i, size);
+    }
+    CHECK(different == 0);
+}
+
 TEST_CASE("ray crowd: of two ways the faster one is taken, until it is the slower one") {
     FasterWay way;
     const auto second_of = [&](int turns, double first_takes, double second_takes) {
