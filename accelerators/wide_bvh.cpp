@@ -4,8 +4,6 @@
 #define HWY_TARGET_INCLUDE "accelerators/wide_bvh.cpp"
 #include <hwy/foreach_target.h>
 
-#include <hwy/cache_control.h>
-
 #include "accelerators/wide_crowd.h"
 #include "accelerators/wide_packet.h"
 #include "framework/accelerator.h"
@@ -47,13 +45,8 @@ struct WideBvhTraversal {
         });
     }
 
-    /// Of triangles, whose structures may be too large for caches, and of objects, to bring rays
-    /// that enter one of them there together.
-    template <Query Q, class Set>
-    requires(std::is_same_v<Set, TriangleSet> ||
-             std::is_same_v<Set, ObjectSet>) static void run_crowd(const WideBvh<Set>& bvh,
-                                                                   const Set& set,
-                                                                   RayCrowd& crowd) {
+    template <Query Q, GoesInCrowds Set>
+    static void run_crowd(const WideBvh<Set>& bvh, const Set& set, RayCrowd& crowd) {
         if (bvh.box.empty()) return;
         const auto alone = [&](const LocalRay& ray, RayQuery& query) HWY_ATTR {
             NoCounters none;
@@ -90,18 +83,6 @@ struct WideBvhTraversal {
         std::memcpy(&t, &bits, 4);
         return t;
     }
-    /// What goes on the stack is needed some steps later: time enough to come from a further cache.
-    template <class Set, class Node>
-    static HWY_INLINE void prefetch(const WideBvh<Set>& bvh, const Node* nodes, uint32_t child) {
-        const auto lines = [](const auto* first, size_t bytes) {
-            const auto* const begin = reinterpret_cast<const char*>(first);
-            for (size_t i = 0; i < bytes; i += 64) hwy::Prefetch(begin + i);
-        };
-        if (!WideChild::is_leaf(child))
-            lines(&node_at(nodes, child), sizeof(Node));
-        else if constexpr (std::is_same_v<Set, TriangleSet>)
-            lines(bvh.leaves.patches() + WideChild::first(child), sizeof(TrianglePatch));
-    }
     static HWY_INLINE void order(Entry& far, Entry& near) {
         // A branch, which lets the next node be loaded before the order is known.
         if (HWY_UNLIKELY(far < near)) std::swap(far, near);
@@ -131,26 +112,27 @@ struct WideBvhTraversal {
                     continue;
                 }
                 // Two children, the common case, never leave registers; of more, all go on the
-                // stack, far to near, and the nearest comes off again.
+                // stack, far to near, and the nearest comes off again. What stays there is needed
+                // some steps later: time enough to come from a further cache.
                 const uint32_t second = lowest(hits);
                 hits &= hits - 1;
                 Entry e0 = entry(node.child[first], t[first]);
                 Entry e1 = entry(node.child[second], t[second]);
                 if constexpr (Q == Query::closest) order(e0, e1);
                 if (HWY_LIKELY(hits == 0)) {
-                    prefetch(bvh, nodes, uint32_t(e0));
+                    prefetch_child(nodes, leaves, uint32_t(e0));
                     *top++ = e0;
                     current = uint32_t(e1);
                     continue;
                 }
-                prefetch(bvh, nodes, uint32_t(e0));
+                prefetch_child(nodes, leaves, uint32_t(e0));
                 Entry* const base = top;
                 *top++ = e0;
                 *top++ = e1;
                 do {
                     const uint32_t i = lowest(hits);
                     const Entry e = entry(node.child[i], t[i]);
-                    prefetch(bvh, nodes, uint32_t(e));
+                    prefetch_child(nodes, leaves, uint32_t(e));
                     hits &= hits - 1;
                     if constexpr (Q == Query::closest)
                         insert(base, top++, e);

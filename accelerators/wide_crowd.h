@@ -6,8 +6,6 @@
 #define CROFTON_ACCELERATORS_WIDE_CROWD_H_
 #endif
 
-#include <hwy/cache_control.h>
-
 #include <algorithm>
 #include <cstddef>
 #include <new>
@@ -22,6 +20,11 @@
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
+
+/// Triangles, whose structures may be too large for caches, and objects, to bring rays that enter
+/// one of them there together.
+template <class Set>
+concept GoesInCrowds = std::is_same_v<Set, TriangleSet> || std::is_same_v<Set, ObjectSet>;
 
 /// Traces a crowd: `slots` rays are under way, each goes a step in turn, and where one is done the
 /// next takes its place.
@@ -116,20 +119,7 @@ class CrowdTraversal {
         at_leaves_.slot[at_leaves_.size] = &slot;
         at_nodes_.size += !leaf;
         at_leaves_.size += leaf;
-        prefetch(child, leaf);
-    }
-    HWY_INLINE void prefetch(uint32_t child, bool leaf) const {
-        const char* begin = reinterpret_cast<const char*>(&node_at(nodes_, child));
-        size_t lines = (sizeof(Node) + 63) / 64;
-        if (leaf) {
-            if constexpr (std::is_same_v<Leaves, TrianglePatches>) {
-                begin = reinterpret_cast<const char*>(leaves_.patches() + WideChild::first(child));
-                lines = sizeof(TrianglePatch) / 64;
-            } else {
-                return;
-            }
-        }
-        for (size_t i = 0; i < lines; ++i) hwy::Prefetch(begin + 64 * i);
+        prefetch_child(nodes_, leaves_, child);
     }
     /// Where the stack's topmost child is that begins no further than t_cull.
     HWY_INLINE uint32_t nearer_than(const Slot& slot, float t_cull) const {

@@ -1,12 +1,16 @@
 #pragma once
 
+#include <hwy/cache_control.h>
+
 #include <cstdint>
 #include <cstring>
 #include <span>
+#include <type_traits>
 #include <vector>
 
 #include "framework/aligned.h"
 #include "framework/bounds.h"
+#include "framework/triangle_patches.h"
 
 namespace crofton {
 
@@ -71,6 +75,19 @@ template <class Node>
 const Node& node_at(const Node* nodes, uint32_t place) {
     return *reinterpret_cast<const Node*>(reinterpret_cast<const char*>(nodes) +
                                           size_t(place) * alignof(Node));
+}
+
+/// Asks for what a child needs when it is visited: a node, or a leaf's first patch.
+template <class Node, class Leaves>
+HWY_INLINE void prefetch_child(const Node* nodes, const Leaves& leaves, uint32_t child) {
+    const auto lines = [](const auto* first) {
+        const auto* const begin = reinterpret_cast<const char*>(first);
+        for (size_t i = 0; i < sizeof(*first); i += 64) hwy::Prefetch(begin + i);
+    };
+    if (!WideChild::is_leaf(child))
+        lines(&node_at(nodes, child));
+    else if constexpr (std::is_same_v<Leaves, TrianglePatches>)
+        lines(leaves.patches() + WideChild::first(child));
 }
 
 /// Box of child i as traversal sees it; empty if there is none.

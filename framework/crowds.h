@@ -62,10 +62,11 @@ class Crowds {
         way_.took(std::chrono::duration<double>(Clock::now() - begin).count());
     }
     /// Traces those that are left.
-    void finish() { way_.second() && count_ > 16 ? trace_crowd() : trace_each(); }
+    void finish() { way_.second() && count_ >= least ? trace_crowd() : trace_each(); }
 
   private:
     using Clock = std::chrono::steady_clock;
+    static constexpr size_t least = 16;  ///< in a crowd, for the turns to be worth it
     struct Single {
         LocalRay local;
         RayQuery query;

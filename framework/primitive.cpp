@@ -132,7 +132,9 @@ void Primitive::in_good_order(std::span<const Ray> rays, Mode mode, const One& o
 template <class One, class Together, class Trace, class Keep>
 void Primitive::stream(std::span<const Ray> rays, Mode mode, const One& one,
                        const Together& together, const Trace& trace, const Keep& keep) const {
-    if (mode == Mode::exact || rays.size() < RayCrowd::most || !takes_crowds())
+    // In mode fast a hit may depend on the order of visits, which is another one in crowds.
+    const bool any_order = mode == Mode::robust || mode == Mode::double_precision;
+    if (!any_order || rays.size() < RayCrowd::most || !takes_crowds())
         return in_good_order(rays, mode, one, together);
     // What this thread has found when it last asked the same, if it was of this structure: short
     // spans would be over before anything is known.
