@@ -10,14 +10,11 @@
 #include <cstdlib>
 #include <filesystem>
 #include <functional>
-#include <map>
 #include <nlohmann/json.hpp>
 #include <numeric>
-#include <optional>
 
 #include "accelerators/auto_select.h"
-#include "experiments/calibration_scenes.h"
-#include "experiments/fit.h"
+#include "experiments/calibrate_structures.h"
 #include "experiments/measure.h"
 #include "experiments/random.h"
 #include "experiments/results.h"
@@ -27,10 +24,7 @@
 #include "framework/object_set.h"
 #include "framework/transform.h"
 #include "framework/triangle_set.h"
-#include "scenegraph/assemble.h"
-#include "scenegraph/auto_plan.h"
 #include "scenegraph/shape_sets.h"
-#include "scenegraph/thinned.h"
 
 namespace crofton {
 namespace {
@@ -231,217 +225,6 @@ void measure_constants(Calibration& c) {
     measure_tests(c, rays);
     measure_objects(c, rays);
     measure_call(c);
-}
-
-// --- structures ---
-
-AssemblyPlan flat_plan(const std::string& type, const ParameterValues& parameters) {
-    auto choice = std::make_shared<AcceleratorChoice>();
-    choice->label = choice->type = type;
-    choice->parameters = parameters;
-    AssemblyPlan plan;
-    plan.top = plan.objects = choice;
-    plan.flatten = true;
-    return plan;
-}
-
-/// One structure over one sample.
-struct Observation {
-    const CalibrationScene* sample;
-    double build_ns, bytes, ray_ns;  ///< bytes and build per shape
-    double structure_bytes;
-    std::vector<RayCost> rays;  ///< counters and time of each set of rays
-    /// Powers that costs grow with from the scene thinned to the whole one; none for small scenes.
-    std::optional<double> thin_ray, thin_build;
-};
-
-/// Builds until the median is steady enough.
-double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& last) {
-    std::vector<double> seconds;
-    double sum = 0;
-    while (seconds.size() < 3 || (sum < 2e-3 && seconds.size() < 15)) {
-        last = Assembly{};
-        last = assemble(scene, plan);
-        seconds.push_back(last.build_s);
-        sum += last.build_s;
-        if (sum > 0.25) break;
-    }
-    return median_interval(std::move(seconds)).median;
-}
-
-RayCost ray_cost(const Primitive& root, std::span<const Ray> rays) {
-    const double pilot = pilot_ns(root, rays.first(std::min<size_t>(rays.size(), 64)), {false, 1});
-    // Some milliseconds at most, however slow the structure.
-    const auto most = size_t(8e6 / std::max(pilot, 1.0));
-    const std::vector<Ray> some = some_of(rays, std::max<size_t>(64, most));
-    const Counters counters = counted_pass(root, some, false);
-    const double n = double(some.size());
-    return {observed_ns(root, {some, false, Mode::robust}), double(counters.N_TS) / n,
-            double(counters.N_IT) / n};
-}
-
-/// Lazy structures are built by rays that meet every part.
-void wake(const Primitive& root, const CalibrationScene& sample) {
-    for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
-        trace_hits(root, *rays, {false, 1});
-}
-
-std::vector<RayCost> ray_costs(const Primitive& root, const CalibrationScene& sample) {
-    std::vector<RayCost> costs;
-    for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
-        if (!rays->empty()) costs.push_back(ray_cost(root, *rays));
-    return costs;
-}
-
-/// What pilots do, to scenes whose costs are known.
-constexpr double least_to_thin = 4096, thin_factor = 4;
-
-/// @param seconds  of the whole scene's build
-void observe_thinned(const AssemblyPlan& plan, Observation& o, double seconds) {
-    const Scene thin = thinned(o.sample->scene, thin_factor);
-    Assembly assembly;
-    const double thin_seconds = build_seconds(thin, plan, assembly);
-    const double shapes = double(statistics(thin).shapes_instanced);
-    const double powers = std::log(double(o.sample->count) / shapes);
-    o.thin_ray =
-        std::log(o.ray_ns / geometric_mean_ns(ray_costs(*assembly.root, *o.sample))) / powers;
-    o.thin_build = std::log(seconds / thin_seconds) / powers;
-}
-
-Observation observe(const StructureChoice& choice, const CalibrationScene& sample) {
-    const AssemblyPlan plan = flat_plan(choice.type, choice.parameters);
-    Observation o{&sample, 0, 0, 0, 0, {}, {}, {}};
-    Assembly assembly;
-    double seconds = build_seconds(sample.scene, plan, assembly);
-    if (choice.parameters.contains("lazy")) {
-        const auto start = Clock::now();
-        wake(*assembly.root, sample);
-        const double first = seconds_since(start);
-        const auto again = Clock::now();
-        wake(*assembly.root, sample);
-        seconds += std::max(0.0, first - seconds_since(again));
-    }
-    const double n = double(sample.count);
-    o.build_ns = seconds * 1e9 / n;
-    o.rays = ray_costs(*assembly.root, sample);
-    o.structure_bytes = double(total_statistics(*assembly.root).bytes);
-    o.bytes = o.structure_bytes / n;
-    o.ray_ns = geometric_mean_ns(o.rays);
-    if (sample.size >= least_to_thin) observe_thinned(plan, o, seconds);
-    return o;
-}
-
-/// What rays of the view take, and those of the other sets, over the mean of all.
-void set_coherence(StructureCosts& costs, const std::vector<Observation>& observations) {
-    std::vector<double> together, apart;
-    for (const Observation& o : observations) {
-        constexpr size_t view = 1;  // see ray_costs
-        if (o.rays.size() <= view || o.sample->view.empty()) continue;
-        std::vector<RayCost> others = o.rays;
-        others.erase(others.begin() + view);
-        together.push_back(o.rays[view].ns / o.ray_ns);
-        apart.push_back(geometric_mean_ns(others) / o.ray_ns);
-    }
-    if (together.empty()) return;
-    costs.together = geometric_mean(together), costs.apart = geometric_mean(apart);
-}
-
-void set_thinned(StructureCosts& costs, const std::vector<Observation>& observations) {
-    double ray = 0, build = 0;
-    int n = 0;
-    for (const Observation& o : observations)
-        if (o.thin_ray) ray += *o.thin_ray, build += *o.thin_build, ++n;
-    if (n > 0) costs.thin_ray = ray / n, costs.thin_build = build / n;
-}
-
-/// A power of what OrderCost says, by least squares of logarithms. The spread is what is left.
-/// @param nodes  as in fit_counted: whose power holds here, too
-void fit_order(StructureCosts& costs, const std::vector<Observation>& observations,
-               double cache_bytes, const StructureCosts* nodes) {
-    std::vector<std::pair<double, double>> logs;
-    for (const Observation& o : observations) {
-        const OrderCost order = order_cost(o.sample->scene.geometries.front());
-        if (!order.known) continue;
-        const double counted =
-            costs.counted_ns(order.nodes, order.tests, o.structure_bytes, cache_bytes);
-        logs.emplace_back(std::log(counted), std::log(o.ray_ns));
-    }
-    if (logs.empty()) return;
-    double x = 0, y = 0, xx = 0, xy = 0, rest = 0;
-    const double n = double(logs.size());
-    for (const auto& [a, b] : logs) x += a / n, y += b / n;
-    for (const auto& [a, b] : logs) xx += (a - x) * (a - x), xy += (a - x) * (b - y);
-    costs.order_power = nodes ? nodes->order_power : std::clamp(xy / std::max(xx, 1e-9), 0.3, 1.0);
-    costs.order_scale = std::exp(y - costs.order_power * x);
-    for (const auto& [a, b] : logs) {
-        const double d = b - y - costs.order_power * (a - x);
-        rest += d * d / n;
-    }
-    costs.ray_spread = std::sqrt(rest);
-}
-
-/// @param reference  ns per ray of the structure that spreads are relative to, by sample
-StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
-                        const std::vector<Observation>& observations,
-                        const std::map<const CalibrationScene*, double>& reference,
-                        double cache_bytes, const StructureCosts* nodes) {
-    StructureCosts costs;
-    costs.structure = choice.name;
-    costs.shapes = kind;
-    std::vector<CountedRay> counted;
-    std::vector<double> ray_deviations, build_deviations;
-    // Samples of a size become one point.
-    for (size_t begin = 0, end = 0; begin < observations.size(); begin = end) {
-        std::vector<double> shapes, build, bytes, ray, relative;
-        for (end = begin; end < observations.size() &&
-                          observations[end].sample->size == observations[begin].sample->size;
-             ++end) {
-            const Observation& o = observations[end];
-            shapes.push_back(double(o.sample->count));
-            build.push_back(o.build_ns);
-            bytes.push_back(o.bytes);
-            ray.push_back(o.ray_ns);
-            relative.push_back(o.ray_ns / reference.at(o.sample));
-            for (const RayCost& r : o.rays) counted.push_back({r, o.structure_bytes});
-        }
-        costs.growth.push_back({geometric_mean(shapes), geometric_mean(build),
-                                geometric_mean(bytes), geometric_mean(ray)});
-        for (const double x : relative)
-            ray_deviations.push_back(std::log(x / geometric_mean(relative)));
-        for (const double x : build)
-            build_deviations.push_back(std::log(x / costs.growth.back().build_ns));
-    }
-    set_thinned(costs, observations);
-    set_coherence(costs, observations);
-    costs.ray_spread = root_mean_square(ray_deviations);
-    costs.build_spread = root_mean_square(build_deviations);
-    fit_counted(costs, counted, cache_bytes, nodes);
-    if (uses_order(choice)) fit_order(costs, observations, cache_bytes, nodes);
-    return costs;
-}
-
-/// More shapes than this take a structure without hierarchy too long.
-constexpr double most_for_brute_force = 4096;
-
-void measure_structures(Calibration& c) {
-    const std::vector<CalibrationScene> samples = calibration_scenes();
-    std::map<const CalibrationScene*, double> reference;
-    for (const StructureChoice& choice : structure_choices())
-        for (const char* kind : {"triangles", "quadrics", "polygons"}) {
-            std::vector<Observation> observations;
-            for (const CalibrationScene& s : samples)
-                if (s.shapes == kind &&
-                    (choice.type != "brute_force" || s.size <= most_for_brute_force))
-                    observations.push_back(observe(choice, s));
-            // The first choice is the reference.
-            for (const Observation& o : observations) reference.try_emplace(o.sample, o.ray_ns);
-            const StructureCosts found = c.find(choice.name, "triangles")
-                                             ? *c.find(choice.name, "triangles")
-                                             : StructureCosts{};
-            const StructureCosts* nodes = found.growth.empty() ? nullptr : &found;
-            c.structures.push_back(
-                costs_of(choice, kind, observations, reference, c.cache_bytes, nodes));
-        }
 }
 
 using Json = nlohmann::ordered_json;

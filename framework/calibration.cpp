@@ -45,6 +45,7 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("order", array_of({s.order_scale, s.order_power}));
     table.set("thinned", array_of({s.thin_ray, s.thin_build}));
     table.set("coherence", array_of({s.together, s.apart}));
+    table.set("test_share", ConfigValue::of(s.test_share));
     table.set("counted",
               array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error}));
     ConfigValue growth;
@@ -94,6 +95,7 @@ StructureCosts read_structure(ConfigTable& table) {
     s.thin_ray = thinned[0], s.thin_build = thinned[1];
     const std::vector<double> coherence = required(table, "coherence", 2);
     s.together = coherence[0], s.apart = coherence[1];
+    s.test_share = table.real("test_share", 0, 0, 1);
     const std::vector<double> c = required(table, "counted", 5);
     s.per_ray = c[0], s.per_step = c[1], s.per_test = c[2], s.per_doubling = c[3];
     s.fit_error = c[4];

@@ -71,6 +71,10 @@ struct StructureCosts {
     /// camera, neighbours together, and of all others.
     double together = 1, apart = 1;
 
+    /// Share of a ray's time that tests of shapes take: what rays cost more where shapes are dearer
+    /// to test than the calibration's.
+    double test_share = 0;
+
     /// At any number of shapes >= 1.
     GrowthPoint at(double shapes) const;
     /// Nanoseconds of a ray with such counts. @param cache_bytes  what the second cache holds

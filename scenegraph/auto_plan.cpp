@@ -56,17 +56,16 @@ const PlanChoice* quick_choice(const SceneCounts& counts, const AutoOptions& opt
 
 /// Nanoseconds per ray of what was chosen, by what is counted on some of the rays; 0: there are
 /// none.
-double expected_ns(const Scene& scene, const Selection& selection, SceneCounts counts,
-                   const RaySample& sample, const Calibration& calibration) {
+double expected_ns(const Selection& selection, const SceneCounts& counts, const RaySample& sample,
+                   const Calibration& calibration) {
     if (sample.rays.empty()) return 0;
     const std::vector<Ray> some = some_of(sample.rays, 512);
-    counts.weight = test_weight(scene, counts.main_kind());
     return counted_ns(*selection.assembly.root, selection.choice().choice.structure, counts,
                       {some, sample.any, sample.mode}, calibration);
 }
 
 /// Builds what was chosen from the short list.
-Selection quick_selection(const Scene& scene, const PlanChoice& choice, const SceneCounts& counts,
+Selection quick_selection(const Scene& scene, const PlanChoice& choice, SceneCounts counts,
                           const AutoOptions& options, const RaySample& sample,
                           const Calibration& calibration, Clock::time_point start) {
     Selection out;
@@ -82,7 +81,8 @@ Selection quick_selection(const Scene& scene, const PlanChoice& choice, const Sc
         "{}: of {} candidates that are built fast; to look at more would take more than {:.0f} % "
         "of the total",
         choice.name, out.candidates.size(), 100 * options.share);
-    out.expected_ns = expected_ns(scene, out, counts, sample, calibration);
+    counts.weight = test_weight(scene, counts.main_kind());
+    out.expected_ns = expected_ns(out, counts, sample, calibration);
     return out;
 }
 
@@ -90,8 +90,9 @@ Selection quick_selection(const Scene& scene, const PlanChoice& choice, const Sc
 class Chooser {
   public:
     Chooser(const Scene& scene, const AutoOptions& options, const RaySample& sample,
-            const Calibration& calibration, SceneCounts counts)
-        : scene_(scene),
+            const Calibration& calibration, SceneCounts counts, Clock::time_point start)
+        : start_(start),
+          scene_(scene),
           options_(options),
           sample_(sample),
           calibration_(calibration),
@@ -99,8 +100,7 @@ class Chooser {
           outlook_(candidates_for(plan_choices(counts_, options), counts_, options, calibration),
                    options, sample.rays.size()) {}
 
-    /// @param start  of all that choosing takes
-    Selection run(Clock::time_point start) {
+    Selection run() {
         outlook_.best();  // refuses where nothing fits
         pilot();
         for (size_t next = outlook_.first(); next != outlook_.size();) {
@@ -108,26 +108,37 @@ class Chooser {
             // What was built does not fit: the next best, if there is one.
             next = holds_one_ ? next_after_pilots() : outlook_.best();
         }
-        out_.choose_s = seconds_since(start) - out_.assembly.build_s;
+        out_.choose_s = spent_s();
         finish();
         return std::move(out_);
     }
 
   private:
+    /// Without the build of what is held.
+    double spent_s() const { return seconds_since(start_) - out_.assembly.build_s; }
+    /// Something was done. @param expected  seconds that it was to take: without a clock it did
+    void spend(double expected) {
+        outlook_.set_spent(options_.clock ? spent_s() : outlook_.spent() + expected);
+    }
+
     /// Scales every estimate to this scene by what a thinned one shows, if that is cheap enough;
     /// and those of nested structures by how a nested one compares there.
     void pilot() {
-        constexpr double shapes = 1024;
+        constexpr double most_shapes = 1024, least_shapes = 256, most_cost = 0.5;
         constexpr size_t rays = 256, compared = 1024;
         const double all = counts_.unique();
-        if (sample_.rays.empty() || all < 4 * shapes) return;
-        const CostEstimate cheap = estimate(quickest(), shapes, counts_.kinds.front().name,
-                                            options_.objective, calibration_);
+        if (sample_.rays.empty()) return;
+        // An order that promises most is to be tried there, too.
+        const bool ordered = uses_order(outlook_.candidates()[outlook_.best()].choice.structure);
         const double ns = outlook_[outlook_.best()].ns_per_ray;
-        const double cost = thinning_s(all) + cheap.build_s + 1e-9 * double(rays) * ns;
-        if (cost > 0.3 * outlook_.allowed()) return;
-        outlook_.spend(cost);
-        const Pilot pilot(scene_, counts_, shapes);
+        double shapes = most_shapes, cost = 0;
+        for (;; shapes /= 2) {
+            if (shapes < least_shapes) return;
+            cost = thinning_s(shapes) + pilot_s(shapes, rays, ns);
+            const double all_cost = cost + (ordered ? pilot_s(shapes, rays, ns) : 0);
+            if (all >= 4 * shapes && all_cost <= most_cost * outlook_.allowed()) break;
+        }
+        const Pilot pilot(scene_, counts_, shapes, looked_at);
         const auto seen_ns = [&](const PlanChoice& choice, size_t count) {
             const std::vector<Ray> some = some_of(sample_.rays, count);
             return pilot
@@ -137,23 +148,26 @@ class Chooser {
         };
         const PlanChoice flat = plan_choice(quickest(), PlanChoice::Placing::flat);
         const double seen = seen_ns(flat, rays);
+        spend(cost);
         outlook_.learn_from_pilot(seen /
                                   estimate(flat, counts_, options_, calibration_).ns_per_ray);
         const size_t best = outlook_.best();
-        if (uses_order(outlook_.candidates()[best].choice.structure)) {
+        const double again = pilot_s(shapes, rays, seen);
+        if (uses_order(outlook_.candidates()[best].choice.structure) &&
+            again <= outlook_.allowed()) {
             // What a sample says of the order is not enough to build by, and no order that was seen
             // is as good as a tree that is built.
             constexpr double least = 1.2;
-            outlook_.spend(cheap.build_s + 1e-9 * double(rays) * seen);
             const double ratio = seen_ns(outlook_.candidates()[best].choice, rays) / seen;
+            spend(again);
             outlook_.learn_from_pilots(best, index_of(flat), std::max(least, ratio));
         }
         const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
-        const double both = 2 * (cheap.build_s + 1e-9 * double(compared) * seen);
+        const double both = 2 * pilot_s(shapes, compared, seen);
         if (counts_.placements <= 1 || both > 0.3 * outlook_.allowed()) return;
-        outlook_.spend(both);
         const double one = seen_ns(flat, compared);
         outlook_.learn_placing(seen_ns(nested, compared) / one);
+        spend(both);
     }
 
     size_t index_of(const PlanChoice& choice) const {
@@ -164,9 +178,23 @@ class Chooser {
             all.begin());
     }
 
-    /// Nanoseconds for each shape of a scene that is thinned, and seconds for its nodes and for all
+    static constexpr size_t looked_at = 16;  ///< shapes, for each of a thinned scene
+
+    /// Seconds to thin the scene to so many: for each that is looked at, for nodes, and for all
     /// that is not in the caches then.
-    static double thinning_s(double shapes) { return 16e-9 * shapes + 1e-4; }
+    double thinning_s(double shapes) const {
+        return 35e-9 * std::min(counts_.unique(), double(looked_at) * shapes) + 1e-4;
+    }
+
+    /// Seconds to build the quickest structure over a thinned scene, cold, and to trace rays.
+    double pilot_s(double shapes, size_t rays, double ns_per_ray) const {
+        constexpr double cold = 2.5, placement = 1e-6;
+        const double placed = shapes * counts_.placed() / counts_.unique();
+        const CostEstimate e = estimate(quickest(), placed, counts_.kinds.front().name,
+                                        options_.objective, calibration_);
+        return cold * (e.build_s + 1e-9 * double(rays) * ns_per_ray) +
+               placement * counts_.placements + 1e-4;
+    }
 
     /// What the outlook would build next, after this has been seen on a thinned scene if that is
     /// much cheaper: how much better a dear build is differs from scene to scene.
@@ -180,14 +208,14 @@ class Chooser {
                          share = shapes / all;
             const CostEstimate &e = outlook_[next], &h = outlook_[held_];
             const double cost = share * (e.build_s + h.build_s) +
-                                (dear_pilot_ ? 0 : thinning_s(all)) +
+                                (dear_pilot_ ? 0 : thinning_s(shapes)) +
                                 1e-9 * double(rays) * (e.ns_per_ray + h.ns_per_ray);
             if (shapes < 128 || cost > most_of_build * e.build_s || cost > outlook_.allowed())
                 return next;
-            outlook_.spend(cost);
-            if (!dear_pilot_) dear_pilot_.emplace(scene_, counts_, shapes);
+            if (!dear_pilot_) dear_pilot_.emplace(scene_, counts_, shapes, looked_at);
             const double a = piloted_ns(next, rays), b = piloted_ns(held_, rays);
             outlook_.learn_from_pilots(next, held_, a / b);
+            spend(cost);
         }
     }
 
@@ -211,28 +239,39 @@ class Chooser {
                 seen.bytes = double(total_statistics(*assembly.root).bytes);
         }
         constexpr size_t least_rays = 64;
-        size_t rays = is_lazy(structure) ? 0 : outlook_.trial_rays(seen);
+        const double both_ns = seen.ns_per_ray + (held_is_timed_ ? outlook_[held_].ns_per_ray : 0);
+        size_t rays = is_lazy(structure) ? 0 : outlook_.trial_rays(both_ns);
         if (rays < least_rays) rays = 0;
         if (rays > 0) {
             const std::vector<Ray> some = some_of(sample_.rays, rays);
             const RaySample part{some, sample_.any, sample_.mode};
-            seen.ns_per_ray =
-                options_.clock ? observed_ns(*assembly.root, part)
-                               : counted_ns(*assembly.root, structure, counts_, part, calibration_);
-            outlook_.spend(1e-9 * seen.ns_per_ray * double(rays));
+            seen.ns_per_ray = tried_ns(*assembly.root, structure, part);
         }
         outlook_.learn(i, seen, rays);
-        keep(i, std::move(assembly));
+        const double lost_s = keep(i, std::move(assembly), rays > 0);
+        spend(lost_s + 1e-9 * seen.ns_per_ray * double(rays));
     }
 
-    void keep(size_t i, Assembly assembly) {
+    /// Nanoseconds per ray of what was built, beside what is held if that was timed, too.
+    double tried_ns(const Primitive& root, const StructureChoice& structure,
+                    const RaySample& some) {
+        if (!options_.clock) return counted_ns(root, structure, counts_, some, calibration_);
+        if (!held_is_timed_) return observed_ns(root, some);
+        return outlook_[held_].ns_per_ray * time_ratio(root, *out_.assembly.root, some);
+    }
+
+    /// @return  seconds of a build that is lost
+    double keep(size_t i, Assembly assembly, bool timed) {
         const bool better =
             outlook_[i].fits && (!holds_one_ || tried_score(i) < tried_score(held_));
-        if (holds_one_ || !better) outlook_.spend(outlook_[better ? held_ : i].build_s);
-        if (!better) return;
-        out_.assembly = std::move(assembly);
-        held_ = i;
-        holds_one_ = true;
+        const double lost_s = holds_one_ || !better ? outlook_[better ? held_ : i].build_s : 0;
+        if (better) {
+            out_.assembly = std::move(assembly);
+            held_ = i;
+            holds_one_ = true;
+            held_is_timed_ = timed;
+        }
+        return lost_s;
     }
 
     /// The build is spent by now, whichever is kept.
@@ -251,9 +290,10 @@ class Chooser {
             chosen.name, outlook_.size(), tried, 100 * options_.share);
         out_.chosen = held_;
         out_.candidates = std::move(outlook_).sorted(out_.chosen);
-        out_.expected_ns = expected_ns(scene_, out_, counts_, sample_, calibration_);
+        out_.expected_ns = expected_ns(out_, counts_, sample_, calibration_);
     }
 
+    Clock::time_point start_;  ///< of all that choosing takes
     const Scene& scene_;
     const AutoOptions& options_;
     const RaySample& sample_;
@@ -263,7 +303,7 @@ class Chooser {
     Selection out_;
     std::optional<Pilot> dear_pilot_;  ///< for what is not built lightly
     size_t held_ = 0;                  ///< whose assembly is kept
-    bool holds_one_ = false;
+    bool holds_one_ = false, held_is_timed_ = false;
 };
 
 std::string estimate_text(const CostEstimate& e) {
@@ -282,7 +322,8 @@ Selection choose_assembly(const Scene& scene, const AutoOptions& given, const Ra
     if (const PlanChoice* quick = quick_choice(counts, options, calibration))
         return quick_selection(scene, *quick, counts, options, sample, calibration, start);
     if (counts.largest) counts.order = order_cost(scene.geometries[*counts.largest]);
-    return Chooser(scene, options, sample, calibration, std::move(counts)).run(start);
+    counts.weight = test_weight(scene, counts.main_kind());
+    return Chooser(scene, options, sample, calibration, std::move(counts), start).run();
 }
 
 std::string explanation(const Selection& selection, const Objective& objective, size_t limit) {
@@ -295,7 +336,7 @@ std::string explanation(const Selection& selection, const Objective& objective, 
     size_t lines = 0;
     for (size_t i = 0; i < selection.candidates.size(); ++i) {
         const Candidate& c = selection.candidates[i];
-        if (lines++ >= limit && i != selection.chosen) continue;
+        if (lines++ >= limit && i != selection.chosen && !c.tried) continue;
         if (!std::isfinite(c.known().total_s)) continue;
         const std::string mark = i == selection.chosen ? "*" : c.known().fits ? " " : "-";
         text += fmt::format("{} {:32} {}   {}\n", mark, c.choice.name, estimate_text(c.predicted),

@@ -14,7 +14,7 @@ constexpr double infinity = std::numeric_limits<double>::infinity();
 constexpr double ray_deviation = 0.8;
 
 /// Standard deviation of ln(ratio) where two structures of a thinned scene were compared.
-constexpr double piloted_spread = 0.07;
+constexpr double piloted_spread = 0.12;
 
 /// The standard normal distribution's share below x.
 double normal_share(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
@@ -54,7 +54,7 @@ void Outlook::scale(double factor, double spread) {
 }
 
 void Outlook::learn_from_pilot(double factor) {
-    constexpr double thinning_spread = 0.5;
+    constexpr double thinning_spread = 0.35;
     scale(factor, thinning_spread);
     for (size_t i = 0; i < size(); ++i) {
         candidates_[i].predicted = now_[i];
@@ -105,25 +105,27 @@ double Outlook::spread_of(size_t i) const {
     return std::max(least, now_[i].ray_spread);
 }
 
-size_t Outlook::trial_rays(const CostEstimate& e) const {
+size_t Outlook::trial_rays(double ns_per_ray) const {
     // Each ray is traced once.
     constexpr double share = 0.005, most = 32768;
-    const double rays = share * total() / (1e-9 * std::max(e.ns_per_ray, 1.0));
+    const double rays = share * total() / (1e-9 * std::max(ns_per_ray, 1.0));
     return size_t(std::min({rays, most, double(sample_size_)}));
 }
 
 size_t Outlook::first() const {
     const size_t best = this->best();
     if (options_.objective.priority != Priority::total || sample_size_ == 0) return best;
-    const double most = 0.4 * allowed();
+    constexpr double as_good = 1.3;  // if nothing better fits, it is what is kept
+    const double most = 0.6 * allowed();
     size_t stone = best;
     double least = infinity;
     for (size_t i = 0; i < size(); ++i) {
         const CostEstimate& e = now_[i];
         const StructureChoice& s = candidates_[i].choice.structure;
         // An order's rays say little of those of other structures.
-        if (!e.fits || is_lazy(s) || uses_order(s)) continue;
-        if (e.build_s + trial_s(e) <= most && e.total_s < least) least = e.total_s, stone = i;
+        if (!e.fits || is_lazy(s) || uses_order(s) || e.total_s > as_good * now_[best].total_s)
+            continue;
+        if (e.build_s + trial_s(e.ns_per_ray) <= most && e.total_s < least) least = e.total_s, stone = i;
     }
     return stone == best ? surest(best) : stone;
 }
@@ -153,9 +155,11 @@ size_t Outlook::surest(size_t best) const {
 double Outlook::deviation(size_t i, size_t held) const {
     const PlanChoice &a = candidates_[i].choice, &b = candidates_[held].choice;
     const double least = piloted_[i]                            ? piloted_spread
-                         : a.structure.type == b.structure.type ? 0.07
-                                                                : 0.15;
-    const double own = std::max(least, now_[i].ray_spread);
+                         : a.structure.type == b.structure.type ? 0.12
+                                                                : 0.18;
+    // What is not known of the scene is between a structure that was tried and those that were not.
+    const double scene = piloted_[i] ? 0 : std::sqrt(scene_variance_);
+    const double own = std::hypot(std::max(least, now_[i].ray_spread), scene);
     // How nesting compares is in the spread of what is nested, and unknown likewise of what is
     // flat, once something nested has been tried.
     const double nesting =
@@ -171,13 +175,18 @@ double Outlook::gain(size_t i, size_t held) const {
     const double saved = objective.rays * 1e-9 *
                          expected_gain(now_[held].ns_per_ray, e.ns_per_ray, deviation(i, held));
     const double build = objective.priority == Priority::trace ? 0 : e.build_s;
-    return saved - build - trial_s(e);
+    return saved - build - trial_s(i, held);
 }
 
 /// Whether the time for choosing allows to build candidate i, too: of the two builds, the one that
-/// is not used in the end is lost, whichever that is.
+/// is not used in the end is lost, whichever that is. That of what is held, if it is nearly certain.
 bool Outlook::affordable(size_t i, size_t held) const {
-    return std::max(now_[i].build_s, now_[held].build_s) + trial_s(now_[i]) <= allowed();
+    constexpr double nearly_certain = 0.9;
+    const double better = std::log(now_[held].ns_per_ray / now_[i].ns_per_ray);
+    double lost = now_[held].build_s;
+    if (normal_share(better / deviation(i, held)) < nearly_certain)
+        lost = std::max(lost, now_[i].build_s);
+    return lost + trial_s(i, held) <= allowed();
 }
 
 size_t Outlook::next(size_t held) const {

@@ -31,9 +31,12 @@ class Outlook {
     size_t best() const { return best_of(now_, options_.objective); }
     /// Seconds that are expected of the best.
     double total() const { return now_[best()].total_s; }
-    /// Seconds that choosing may still take.
-    double allowed() const { return options_.share * total() - spent_; }
-    void spend(double seconds) { spent_ += seconds; }
+    /// Seconds that choosing may still take. The total is an estimate; a part is kept back for
+    /// that.
+    double allowed() const { return kept_within * options_.share * total() - spent_; }
+    double spent() const { return spent_; }
+    /// Seconds that choosing has taken so far.
+    void set_spent(double seconds) { spent_ = seconds; }
 
     /// A thinned scene showed this factor on what counts say of ns per ray.
     void learn_from_pilot(double factor);
@@ -47,10 +50,10 @@ class Outlook {
     /// Candidate i was built. @param seen  its costs  @param rays  that were timed; 0: none
     void learn(size_t i, const CostEstimate& seen, size_t rays);
 
-    /// Rays to try a structure on: a small share of the total.
-    size_t trial_rays(const CostEstimate& e) const;
-    double trial_s(const CostEstimate& e) const {
-        return 1e-9 * e.ns_per_ray * double(trial_rays(e));
+    /// Rays to try a structure on that takes so long: a small share of the total.
+    size_t trial_rays(double ns_per_ray) const;
+    double trial_s(double ns_per_ray) const {
+        return 1e-9 * ns_per_ray * double(trial_rays(ns_per_ray));
     }
     /// What to build first: the best estimate; or, if one that is built in no time would teach how
     /// dear rays are here before that, this one.
@@ -62,10 +65,15 @@ class Outlook {
     std::vector<Candidate> sorted(size_t& i) &&;
 
   private:
+    static constexpr double kept_within = 0.8;
+
     double spread_of(size_t i) const;
     size_t surest(size_t best) const;
     double deviation(size_t i, size_t held) const;
     double gain(size_t i, size_t held) const;
+    double trial_s(size_t i, size_t held) const {
+        return trial_s(now_[i].ns_per_ray + now_[held].ns_per_ray);
+    }
     bool affordable(size_t i, size_t held) const;
     void scale(double factor, double spread);
 
@@ -74,9 +82,9 @@ class Outlook {
     const AutoOptions& options_;
     std::vector<bool> piloted_;  ///< beside another one
     size_t sample_size_;
-    double scene_variance_ = 0.4;  ///< of ln(ns per ray), common to all structures
+    double scene_variance_ = 0.6;  ///< of ln(ns per ray), common to all structures
     double placing_spread_ = placing_spread;
-    double spent_ = 0;  ///< seconds of choosing so far, as estimated
+    double spent_ = 0;  ///< seconds of choosing so far
 };
 
 }  // namespace crofton

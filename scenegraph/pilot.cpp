@@ -82,8 +82,9 @@ double counted_ns(const Primitive& root, const StructureChoice& structure,
                              double(total_statistics(root).bytes), calibration.cache_bytes);
 }
 
-Pilot::Pilot(const Scene& scene, const SceneCounts& counts, double shapes) : counts_(counts) {
-    thin_ = thinned(scene, std::max(1.0, counts.unique() / shapes));
+Pilot::Pilot(const Scene& scene, const SceneCounts& counts, double shapes, size_t looked_at)
+    : counts_(counts) {
+    thin_ = thinned(scene, std::max(1.0, counts.unique() / shapes), looked_at);
     thin_counts_ = count_shapes(thin_);
     thin_counts_.weight = counts.weight;
 }
@@ -116,6 +117,27 @@ CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
         full.bytes *= double(total_statistics(*assembly.root).bytes) / thin.bytes;
     set_total(full, options.objective);
     return full;
+}
+
+double time_ratio(const Primitive& root, const Primitive& other, const RaySample& sample) {
+    constexpr size_t least = 64, most_runs = 32;
+    const size_t n = sample.rays.size(), runs = std::clamp<size_t>(n / least, 1, most_runs);
+    std::vector<std::pair<double, double>> seconds(runs);
+    for (size_t r = 0; r < runs; ++r) {
+        const size_t begin = n * r / runs;
+        const std::span<const Ray> run = sample.rays.subspan(begin, n * (r + 1) / runs - begin);
+        auto& [own, others] = seconds[r];
+        // Who goes first finds the rays less warm.
+        if (r % 2 == 0) own = traced_seconds(root, run, sample);
+        others = traced_seconds(other, run, sample);
+        if (r % 2 == 1) own = traced_seconds(root, run, sample);
+    }
+    std::sort(seconds.begin(), seconds.end(),
+              [](const auto& a, const auto& b) { return a.first * b.second < b.first * a.second; });
+    double own = 0, others = 0;
+    for (size_t r = runs / 4; r < runs - runs / 4; ++r)
+        own += seconds[r].first, others += seconds[r].second;
+    return own / others;
 }
 
 double observed_ns(const Primitive& root, const RaySample& sample) {

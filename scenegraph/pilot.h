@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -21,10 +22,12 @@ Coherence coherence_of(std::span<const Ray> rays);
 
 /// Before the scene's own structure is built: a thinned scene's is, and traces the sample; what was
 /// seen is carried over to the scene's counts by the calibration's growth. See thinned.
-/// @param shapes  about so many are left by thinning
+/// @param shapes     about so many are left by thinning
+/// @param looked_at  see thinned
 class Pilot {
   public:
-    Pilot(const Scene& scene, const SceneCounts& counts, double shapes);
+    Pilot(const Scene& scene, const SceneCounts& counts, double shapes,
+          size_t looked_at = std::numeric_limits<size_t>::max());
     /// @param plan    that the choice stands for
     /// @param builds  so many are timed; 1 or more
     /// @param factor  if not null: becomes what the thinned structure's rays took over what their
@@ -54,5 +57,10 @@ double counted_ns(const Primitive& root, const StructureChoice& structure,
 /// seen. The first quarter of the sample warms up; of the others' times the median counts.
 /// @param sample  from some_of
 double observed_ns(const Primitive& root, const RaySample& sample);
+
+/// What rays take in one structure over what they take in another, timed in turns, so that what
+/// else the machine does falls on both; of short runs of rays the middle half by this ratio counts.
+/// @param sample  from some_of; not empty
+double time_ratio(const Primitive& root, const Primitive& other, const RaySample& sample);
 
 }  // namespace crofton

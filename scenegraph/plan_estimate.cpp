@@ -56,9 +56,8 @@ StructureChoice structure_of(const AcceleratorChoice& accelerator) {
 /// which stands for all.
 void use_order(CostEstimate& e, const SceneCounts& counts, const StructureCosts& costs,
                const Calibration& calibration) {
-    if (!counts.order.known || costs.order_scale <= 0) return;
-    const double counted =
-        costs.counted_ns(counts.order.nodes, counts.order.tests, e.bytes, calibration.cache_bytes);
+    const double counted = costs.counted_ns(counts.order.nodes, counts.weight * counts.order.tests,
+                                            e.bytes, calibration.cache_bytes);
     // What the growth has for any order.
     const double mean = costs.at(counts.kinds.front().placed).ray_ns;
     e.ns_per_ray *= costs.order_scale * std::pow(counted, costs.order_power) / mean;
@@ -94,6 +93,8 @@ std::vector<PlanChoice> plan_choices(const SceneCounts& counts, const AutoOption
     for (const StructureChoice& s : structure_choices()) {
         if (s.type == "brute_force" && placed > most_for_brute_force) continue;
         if (is_lazy(s) && !lazy_allowed) continue;
+        // They save memory, not time.
+        if (s.name == "wide_bvh/quantised" && options.objective.memory <= 0) continue;
         out.push_back(plan_choice(s, Placing::flat));
     }
     if (counts.placements > 1)
@@ -138,9 +139,12 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
     const Objective& objective = options.objective;
     e = flat_estimate(choice.structure, counts, objective, calibration);
     if (!std::isfinite(e.total_s)) return e;
-    if (uses_order(choice.structure))
-        if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration))
+    if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration)) {
+        if (uses_order(choice.structure) && counts.order.known && costs->order_scale > 0)
             use_order(e, counts, *costs, calibration);
+        else
+            e.ns_per_ray *= 1 + (counts.weight - 1) * costs->test_share;
+    }
     if (choice.placing != PlanChoice::Placing::flat) {
         const bool opened = choice.placing == PlanChoice::Placing::opened;
         const CostEstimate nested = nested_estimate(

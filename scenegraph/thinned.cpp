@@ -1,7 +1,9 @@
 #include "scenegraph/thinned.h"
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace crofton {
 namespace {
@@ -15,42 +17,51 @@ struct Kept {
     uint32_t first = 0, end = 0;  ///< the stride that it stands for; none if it is kept as it is
 };
 
+/// How many shapes become one, and every how many'th of them is looked at.
+struct Thinning {
+    double factor, step;
+};
+
 /// @param area  area of shape i, in any unit; not finite: never kept
 template <class Area>
-std::vector<Kept> choose(size_t n, double factor, const Area& area) {
-    std::vector<double> areas(n);
+std::vector<Kept> choose(size_t n, const Thinning& t, const Area& area) {
+    std::vector<std::pair<uint32_t, double>> looked;
+    looked.reserve(size_t(double(n) / t.step) + 1);
     double sum = 0;
-    for (uint32_t i = 0; i < n; ++i) {
-        areas[i] = area(i);
-        if (std::isfinite(areas[i])) sum += areas[i];
+    for (double i = 0; i < double(n); i += t.step) {
+        const double a = area(uint32_t(i));
+        if (!std::isfinite(a)) continue;
+        looked.emplace_back(uint32_t(i), a);
+        sum += a;
     }
-    const double large = factor * sum / double(n);
+    const double large = t.factor * sum / std::max(1.0, double(looked.size()));
     std::vector<Kept> kept;
-    for (double begin = 0; begin < double(n); begin += factor) {
-        const auto first = uint32_t(begin), end = uint32_t(std::min(double(n), begin + factor));
+    auto next = looked.begin();
+    for (double begin = 0; begin < double(n); begin += t.factor) {
+        const auto first = uint32_t(begin), end = uint32_t(std::min(double(n), begin + t.factor));
         double stride = 0;
-        uint32_t pick = end;
-        for (uint32_t i = first; i < end; ++i) {
-            if (!std::isfinite(areas[i])) continue;
-            if (areas[i] > large) {
-                kept.push_back({i, 1.0f});
+        std::pair<uint32_t, double> pick{end, 0};
+        for (; next != looked.end() && next->first < end; ++next) {
+            if (next->second > large) {
+                kept.push_back({next->first, 1.0f});
                 continue;
             }
-            stride += areas[i];
-            if (pick == end || areas[i] > areas[pick]) pick = i;
+            stride += next->second;
+            if (next->second > pick.second) pick = *next;
         }
-        if (pick < end && areas[pick] > 0)
-            kept.push_back({pick, float(std::sqrt(stride / areas[pick])), first, end});
+        if (pick.second > 0)
+            kept.push_back(
+                {pick.first, float(std::sqrt(t.step * stride / pick.second)), first, end});
     }
     return kept;
 }
 
 /// Where a stride's triangles lie: their box, but nowhere less thick than a quarter of its
 /// diagonal.
-Bounds3 region_of(const TriangleMesh& mesh, uint32_t first, uint32_t end) {
+Bounds3 region_of(const TriangleMesh& mesh, uint32_t first, uint32_t end, double step) {
     Bounds3 box;
-    for (uint32_t i = first; i < end; ++i)
-        for (const uint32_t corner : mesh.triangles[i])
+    for (double i = first; i < double(end); i += step)
+        for (const uint32_t corner : mesh.triangles[size_t(i)])
             if (mesh.positions[corner].allFinite()) box.extend(mesh.positions[corner]);
     if (box.empty()) return box;
     const float least = 0.25f * box.extent().norm();
@@ -59,18 +70,18 @@ Bounds3 region_of(const TriangleMesh& mesh, uint32_t first, uint32_t end) {
 }
 
 /// A sliver that stands for many stays where these are.
-TriangleMesh thin(const TriangleMesh& mesh, double factor) {
+TriangleMesh thin(const TriangleMesh& mesh, const Thinning& t) {
     const auto corner = [&](uint32_t i, int k) {
         return mesh.positions[mesh.triangles[i][size_t(k)]];
     };
     TriangleMesh out;
-    for (const Kept& k : choose(mesh.triangles.size(), factor, [&](uint32_t i) {
+    for (const Kept& k : choose(mesh.triangles.size(), t, [&](uint32_t i) {
              return double((corner(i, 1) - corner(i, 0)).cross(corner(i, 2) - corner(i, 0)).norm());
          })) {
         const Vec3f middle =
             (corner(k.shape, 0) + corner(k.shape, 1) + corner(k.shape, 2)) * (1.0f / 3);
         const auto first = uint32_t(out.positions.size());
-        const Bounds3 region = region_of(mesh, k.first, k.end);
+        const Bounds3 region = region_of(mesh, k.first, k.end, t.step);
         for (int c = 0; c < 3; ++c) {
             Vec3f p = middle + (corner(k.shape, c) - middle) * k.scale;
             if (!region.empty()) p = p.cwiseMax(region.lower).cwiseMin(region.upper);
@@ -99,9 +110,9 @@ double area_of(const Cone& c) {
 }
 double area_of(const Disc& d) { return double(d.radius) * d.radius; }
 
-Quadrics thin(const Quadrics& quadrics, double factor) {
+Quadrics thin(const Quadrics& quadrics, const Thinning& t) {
     Quadrics out;
-    for (const Kept& k : choose(quadrics.shapes.size(), factor, [&](uint32_t i) {
+    for (const Kept& k : choose(quadrics.shapes.size(), t, [&](uint32_t i) {
              return std::visit([](const auto& q) { return area_of(q); }, quadrics.shapes[i]);
          }))
         out.shapes.push_back(std::visit([&](const auto& q) { return scaled(q, k.scale); },
@@ -109,7 +120,7 @@ Quadrics thin(const Quadrics& quadrics, double factor) {
     return out;
 }
 
-Polygons thin(const Polygons& polygons, double factor) {
+Polygons thin(const Polygons& polygons, const Thinning& t) {
     const auto first = [&](uint32_t i) { return polygons.positions[polygons.first[i]]; };
     const auto area = [&](uint32_t i) {
         Vec3f sum = Vec3f::Zero();
@@ -119,7 +130,7 @@ Polygons thin(const Polygons& polygons, double factor) {
     };
     Polygons out;
     out.first.push_back(0);
-    for (const Kept& k : choose(polygons.size(), factor, area)) {
+    for (const Kept& k : choose(polygons.size(), t, area)) {
         const uint32_t begin = polygons.first[k.shape], end = polygons.first[k.shape + 1];
         Vec3f middle = Vec3f::Zero();
         for (uint32_t c = begin; c < end; ++c) middle += polygons.positions[c] / float(end - begin);
@@ -131,9 +142,9 @@ Polygons thin(const Polygons& polygons, double factor) {
 }
 
 /// Radii that come from the spacing grow by themselves where points are fewer.
-Points thin(const Points& points, double factor) {
+Points thin(const Points& points, const Thinning& t) {
     Points out;
-    for (const Kept& k : choose(points.positions.size(), factor, [](uint32_t) { return 1.0; })) {
+    for (const Kept& k : choose(points.positions.size(), t, [](uint32_t) { return 1.0; })) {
         out.positions.push_back(points.positions[k.shape]);
         if (!points.normals.empty()) out.normals.push_back(points.normals[k.shape]);
         if (!points.radii.empty()) out.radii.push_back(points.radii[k.shape] * k.scale);
@@ -148,7 +159,8 @@ size_t size_of(const Points& p) { return p.positions.size(); }
 
 }  // namespace
 
-Scene thinned(const Scene& scene, double factor) {
+Scene thinned(const Scene& scene, double factor, size_t looked_at) {
+    const Thinning thinning{factor, std::max(1.0, factor / double(looked_at))};
     Scene out;
     out.name = scene.name;
     out.source = scene.source;
@@ -162,7 +174,7 @@ Scene thinned(const Scene& scene, double factor) {
                 if (size_of(shapes) < least_shapes || factor <= 1)
                     geometry.shapes = shapes;
                 else
-                    geometry.shapes = thin(shapes, factor);
+                    geometry.shapes = thin(shapes, thinning);
             },
             scene.geometries[g].shapes);
         out.geometries.push_back(std::move(geometry));

@@ -24,7 +24,10 @@ using namespace crofton;
 namespace {
 
 StructureCosts costs(const std::string& name, double build_ns, double bytes, double ray_ns) {
-    return {name, "triangles", {{16, build_ns, bytes, ray_ns}}, 0.1, 0.1, 0, 1, 1, 2, 3, 0.1, 0.05};
+    StructureCosts c{name, "triangles", {{16, build_ns, bytes, ray_ns}}, 0.1, 0.1, 0, 1, 1, 2, 3,
+                     0.1,  0.05};
+    c.test_share = 0.25;
+    return c;
 }
 
 /// Three structures: cheap to build, compromise, fast to trace.
@@ -78,6 +81,7 @@ TEST_CASE("calibration: what is written is read back, to the bits") {
     CHECK(read.machine == three().machine);
     REQUIRE(read.find("bvh", "triangles"));
     CHECK(read.find("bvh", "triangles")->growth[0].ray_ns == 200);
+    CHECK(read.find("bvh", "triangles")->test_share == 0.25);
     CHECK(read.find("bvh", "quadrics") == nullptr);
 }
 
@@ -418,6 +422,67 @@ TEST_CASE("auto: no build is tried that would be lost beyond the share of choosi
     CHECK(next(0.006) == 2);
 }
 
+TEST_CASE("auto: a build that is nearly certain to be the better one costs what is held, no more") {
+    const AutoOptions options = counted_for(1e6);
+    const auto next = [&](double other_ns) {
+        Outlook outlook({candidate("held", 0.001, 100), candidate("other", 0.01, other_ns)},
+                        options, 10000);
+        outlook.learn(0, outlook[0], 4000);
+        return outlook.next(0);
+    };
+    CHECK(next(30) == 1);
+    CHECK(next(90) == 2);
+}
+
+TEST_CASE("auto: time that choosing has taken is not there for another build") {
+    const AutoOptions options = counted_for(1e6);
+    Outlook outlook({candidate("held", 0.001, 100), candidate("other", 0.002, 80)}, options, 10000);
+    outlook.learn(0, outlook[0], 4000);
+    REQUIRE(outlook.next(0) == 1);
+    outlook.set_spent(0.05 * outlook.total());
+    CHECK(outlook.allowed() < 0);
+    CHECK(outlook.next(0) == 2);
+}
+
+TEST_CASE("auto: nodes that only save memory are a candidate only where memory is limited") {
+    const SceneCounts counts = count_shapes(two_terrains());
+    AutoOptions options = counted_for(1e6);
+    const auto quantised = [&] {
+        const std::vector<PlanChoice> choices = plan_choices(counts, options);
+        return std::count_if(choices.begin(), choices.end(), [](const PlanChoice& c) {
+            return c.structure.name == "wide_bvh/quantised";
+        });
+    };
+    CHECK(quantised() == 0);
+    options.objective.memory = 1e9;
+    CHECK(quantised() == 1);
+}
+
+TEST_CASE("auto: shapes that are dear to test make rays dear, by the share of tests") {
+    SceneCounts counts = count_shapes(two_terrains());
+    const PlanChoice choice = plan_choice({"wide_bvh", "wide_bvh", {}}, PlanChoice::Placing::flat);
+    const AutoOptions options = counted_for(1e6);
+    Calibration c = Calibration::nominal();
+    const double ns = estimate(choice, counts, options, c).ns_per_ray;
+    const double share = c.find("wide_bvh", "triangles")->test_share;
+    REQUIRE(share > 0);
+    counts.weight = 11;
+    CHECK(estimate(choice, counts, options, c).ns_per_ray == Approx(ns * (1 + 10 * share)));
+}
+
+TEST_CASE("auto: two structures are compared on every number of rays") {
+    const Scene scene = two_terrains();
+    const PlanChoice choice = plan_choice({"bvh", "bvh", {}}, PlanChoice::Placing::flat);
+    const Assembly assembly = assemble(scene, plan_of(choice));
+    for (const size_t n : {1u, 64u, 65u, 1000u}) {
+        const auto rays = random_lines({Vec3d::Zero(), 50}, n, 1);
+        const double ratio =
+            time_ratio(*assembly.root, *assembly.root, {rays, false, Mode::robust});
+        CHECK(std::isfinite(ratio));
+        CHECK(ratio > 0);
+    }
+}
+
 TEST_CASE("auto: of what is expected to be about as good, the shortest build comes first") {
     // 1e6 rays; builds of more than 2 ms are no stepping stones.
     const auto first = [](double dear_ns) {
@@ -516,6 +581,13 @@ TEST_CASE("thinned: fewer shapes of the same area in all, always the same ones")
     CHECK(std::get<TriangleMesh>(thinned(scene, 16).geometries[0].shapes).positions ==
           std::get<TriangleMesh>(thin.geometries[0].shapes).positions);
     CHECK(count(thinned(scene, 1)) == count(scene));
+}
+
+TEST_CASE("thinned: a sample of the shapes leaves as many, of about the same area") {
+    const Scene scene = make_scene("terrain", {{"n", 64.0}});
+    const Scene thin = thinned(scene, 64, 8);
+    CHECK(std::get<TriangleMesh>(thin.geometries[0].shapes).triangles.size() == 128);
+    CHECK(area_of(thin) == Approx(area_of(scene)).epsilon(0.3));
 }
 
 TEST_CASE("thinned: a few large shapes among many small ones stay as they are") {

@@ -1,0 +1,287 @@
+#include "experiments/calibrate_structures.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <map>
+#include <optional>
+
+#include "accelerators/auto_select.h"
+#include "experiments/calibration_scenes.h"
+#include "experiments/fit.h"
+#include "experiments/measure.h"
+#include "experiments/statistics.h"
+#include "scenegraph/assemble.h"
+#include "scenegraph/pilot.h"
+#include "scenegraph/thinned.h"
+
+namespace crofton {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double seconds_since(Clock::time_point start) {
+    return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+AssemblyPlan flat_plan(const std::string& type, const ParameterValues& parameters) {
+    auto choice = std::make_shared<AcceleratorChoice>();
+    choice->label = choice->type = type;
+    choice->parameters = parameters;
+    AssemblyPlan plan;
+    plan.top = plan.objects = choice;
+    plan.flatten = true;
+    return plan;
+}
+
+/// One structure over one sample.
+struct Observation {
+    const CalibrationScene* sample;
+    double build_ns, bytes;  ///< per shape
+    double relative;         ///< time of a ray over that of the reference
+    double ray_ns = 0;
+    double structure_bytes;
+    std::vector<RayCost> rays;  ///< counters and time of each set of rays
+    /// Powers that costs grow with from the scene thinned to the whole one; none for small scenes.
+    std::optional<double> thin_ray, thin_build;
+};
+
+/// Builds until the median is steady enough.
+double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& last) {
+    std::vector<double> seconds;
+    double sum = 0;
+    while (seconds.size() < 3 || (sum < 2e-3 && seconds.size() < 15)) {
+        last = Assembly{};
+        last = assemble(scene, plan);
+        seconds.push_back(last.build_s);
+        sum += last.build_s;
+        if (sum > 0.25) break;
+    }
+    return median_interval(std::move(seconds)).median;
+}
+
+/// The first choice over a scene: what rays take in every other one is timed beside it, in turns,
+/// since what else a machine does changes from second to second.
+struct Reference {
+    Assembly assembly;
+    std::vector<const std::vector<Ray>*> sets;  ///< of rays, those that there are
+    std::vector<std::vector<double>> ns;        ///< per ray, of each set whenever it was timed
+
+    explicit Reference(const CalibrationScene& sample, const StructureChoice& choice)
+        : assembly(assemble(sample.scene, flat_plan(choice.type, choice.parameters))) {
+        for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
+            if (!rays->empty()) sets.push_back(rays);
+        ns.resize(sets.size());
+    }
+};
+
+/// So many rays that they take some milliseconds at most, however slow the structures.
+std::vector<Ray> timed_rays(const std::vector<Ray>& rays, const Primitive& a, const Primitive& b) {
+    const auto first = std::span(rays).first(std::min<size_t>(rays.size(), 64));
+    const double ns = pilot_ns(a, first, {false, 1}) + pilot_ns(b, first, {false, 1});
+    return some_of(rays, std::max<size_t>(64, size_t(3.5e6 / std::max(ns, 1.0))));
+}
+
+/// Counts, and times over those of the reference, see absolute.
+std::vector<RayCost> ray_costs(const Primitive& root, Reference& reference) {
+    std::vector<RayCost> costs;
+    const Primitive& other = *reference.assembly.root;
+    for (size_t k = 0; k < reference.sets.size(); ++k) {
+        const std::vector<Ray> some = timed_rays(*reference.sets[k], root, other);
+        const RaySample sample{some, false, Mode::robust};
+        const Counters counters = counted_pass(root, some, false);
+        const double n = double(some.size());
+        costs.push_back({time_ratio(root, other, sample), double(counters.N_TS) / n,
+                         double(counters.N_IT) / n});
+        const std::vector<Ray> few = some_of(*reference.sets[k], some.size() / 4);
+        reference.ns[k].push_back(observed_ns(other, {few, false, Mode::robust}));
+    }
+    return costs;
+}
+
+/// Makes nanoseconds of ratios, now that the reference has been timed often.
+void make_absolute(std::vector<RayCost>& costs, const Reference& reference) {
+    for (size_t k = 0; k < costs.size(); ++k)
+        costs[k].ns *= median_interval(reference.ns[k]).median;
+}
+
+/// Lazy structures are built by rays that meet every part.
+void wake(const Primitive& root, const CalibrationScene& sample) {
+    for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
+        trace_hits(root, *rays, {false, 1});
+}
+
+/// What pilots do, to scenes whose costs are known.
+constexpr double least_to_thin = 4096, thin_factor = 4;
+
+/// @param whole    the structure over the whole scene
+/// @param seconds  of its build
+void observe_thinned(const AssemblyPlan& plan, Observation& o, const Primitive& whole,
+                     const Reference& reference, double seconds) {
+    const Scene thin = thinned(o.sample->scene, thin_factor);
+    Assembly assembly;
+    const double thin_seconds = build_seconds(thin, plan, assembly);
+    const double shapes = double(statistics(thin).shapes_instanced);
+    const double powers = std::log(double(o.sample->count) / shapes);
+    std::vector<double> ratios;
+    for (const std::vector<Ray>* rays : reference.sets) {
+        const std::vector<Ray> some = timed_rays(*rays, whole, *assembly.root);
+        ratios.push_back(time_ratio(whole, *assembly.root, {some, false, Mode::robust}));
+    }
+    o.thin_ray = std::log(geometric_mean(ratios)) / powers;
+    o.thin_build = std::log(seconds / thin_seconds) / powers;
+}
+
+Observation observe(const StructureChoice& choice, const CalibrationScene& sample,
+                    Reference& reference) {
+    const AssemblyPlan plan = flat_plan(choice.type, choice.parameters);
+    Observation o{&sample, 0, 0, 0, 0, 0, {}, {}, {}};
+    Assembly assembly;
+    double seconds = build_seconds(sample.scene, plan, assembly);
+    if (choice.parameters.contains("lazy")) {
+        const auto start = Clock::now();
+        wake(*assembly.root, sample);
+        const double first = seconds_since(start);
+        const auto again = Clock::now();
+        wake(*assembly.root, sample);
+        seconds += std::max(0.0, first - seconds_since(again));
+    }
+    const double n = double(sample.count);
+    o.build_ns = seconds * 1e9 / n;
+    o.rays = ray_costs(*assembly.root, reference);
+    o.relative = geometric_mean_ns(o.rays);
+    o.structure_bytes = double(total_statistics(*assembly.root).bytes);
+    o.bytes = o.structure_bytes / n;
+    if (sample.size >= least_to_thin) observe_thinned(plan, o, *assembly.root, reference, seconds);
+    return o;
+}
+
+/// What rays of the view take, and those of the other sets, over the mean of all.
+void set_coherence(StructureCosts& costs, const std::vector<Observation>& observations) {
+    std::vector<double> together, apart;
+    for (const Observation& o : observations) {
+        constexpr size_t view = 1;  // see ray_costs
+        if (o.rays.size() <= view || o.sample->view.empty()) continue;
+        std::vector<RayCost> others = o.rays;
+        others.erase(others.begin() + view);
+        together.push_back(o.rays[view].ns / o.ray_ns);
+        apart.push_back(geometric_mean_ns(others) / o.ray_ns);
+    }
+    if (together.empty()) return;
+    costs.together = geometric_mean(together), costs.apart = geometric_mean(apart);
+}
+
+void set_thinned(StructureCosts& costs, const std::vector<Observation>& observations) {
+    double ray = 0, build = 0;
+    int n = 0;
+    for (const Observation& o : observations)
+        if (o.thin_ray) ray += *o.thin_ray, build += *o.thin_build, ++n;
+    if (n > 0) costs.thin_ray = ray / n, costs.thin_build = build / n;
+}
+
+/// A power of what OrderCost says, by least squares of logarithms. The spread is what is left.
+/// @param nodes  as in fit_counted: whose power holds here, too
+void fit_order(StructureCosts& costs, const std::vector<Observation>& observations,
+               double cache_bytes, const StructureCosts* nodes) {
+    std::vector<std::pair<double, double>> logs;
+    for (const Observation& o : observations) {
+        const OrderCost order = order_cost(o.sample->scene.geometries.front());
+        if (!order.known) continue;
+        const double counted =
+            costs.counted_ns(order.nodes, order.tests, o.structure_bytes, cache_bytes);
+        logs.emplace_back(std::log(counted), std::log(o.ray_ns));
+    }
+    if (logs.empty()) return;
+    double x = 0, y = 0, xx = 0, xy = 0, rest = 0;
+    const double n = double(logs.size());
+    for (const auto& [a, b] : logs) x += a / n, y += b / n;
+    for (const auto& [a, b] : logs) xx += (a - x) * (a - x), xy += (a - x) * (b - y);
+    costs.order_power = nodes ? nodes->order_power : std::clamp(xy / std::max(xx, 1e-9), 0.3, 1.0);
+    costs.order_scale = std::exp(y - costs.order_power * x);
+    for (const auto& [a, b] : logs) {
+        const double d = b - y - costs.order_power * (a - x);
+        rest += d * d / n;
+    }
+    costs.ray_spread = std::sqrt(rest);
+}
+
+/// @param nodes  as in fit_counted
+StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
+                        const std::vector<Observation>& observations, double cache_bytes,
+                        const StructureCosts* nodes) {
+    StructureCosts costs;
+    costs.structure = choice.name;
+    costs.shapes = kind;
+    std::vector<CountedRay> counted;
+    std::vector<double> ray_deviations, build_deviations;
+    // Samples of a size become one point.
+    for (size_t begin = 0, end = 0; begin < observations.size(); begin = end) {
+        std::vector<double> shapes, build, bytes, ray, relative;
+        for (end = begin; end < observations.size() &&
+                          observations[end].sample->size == observations[begin].sample->size;
+             ++end) {
+            const Observation& o = observations[end];
+            shapes.push_back(double(o.sample->count));
+            build.push_back(o.build_ns);
+            bytes.push_back(o.bytes);
+            ray.push_back(o.ray_ns);
+            relative.push_back(o.relative);
+            for (const RayCost& r : o.rays) counted.push_back({r, o.structure_bytes});
+        }
+        costs.growth.push_back({geometric_mean(shapes), geometric_mean(build),
+                                geometric_mean(bytes), geometric_mean(ray)});
+        for (const double x : relative)
+            ray_deviations.push_back(std::log(x / geometric_mean(relative)));
+        for (const double x : build)
+            build_deviations.push_back(std::log(x / costs.growth.back().build_ns));
+    }
+    set_thinned(costs, observations);
+    set_coherence(costs, observations);
+    costs.ray_spread = root_mean_square(ray_deviations);
+    costs.build_spread = root_mean_square(build_deviations);
+    fit_counted(costs, counted, cache_bytes, nodes);
+    for (const CountedRay& c : counted)
+        costs.test_share +=
+            std::min(1.0, costs.per_test * c.ray.tests / c.ray.ns) / double(counted.size());
+    if (uses_order(choice)) fit_order(costs, observations, cache_bytes, nodes);
+    return costs;
+}
+
+/// More shapes than this take a structure without hierarchy too long.
+constexpr double most_for_brute_force = 4096;
+
+/// Every structure over the samples of one kind of shape.
+void measure_structures(Calibration& c, const std::string& kind,
+                        const std::vector<CalibrationScene>& samples) {
+    const std::vector<StructureChoice>& choices = structure_choices();
+    std::map<const CalibrationScene*, Reference> references;
+    for (const CalibrationScene& s : samples)
+        if (s.shapes == kind) references.emplace(&s, Reference(s, choices.front()));
+    std::vector<std::vector<Observation>> observations(choices.size());
+    for (size_t i = 0; i < choices.size(); ++i)
+        for (auto& [sample, reference] : references)
+            if (choices[i].type != "brute_force" || sample->size <= most_for_brute_force)
+                observations[i].push_back(observe(choices[i], *sample, reference));
+    for (size_t i = 0; i < choices.size(); ++i) {
+        for (Observation& o : observations[i]) {
+            make_absolute(o.rays, references.at(o.sample));
+            o.ray_ns = geometric_mean_ns(o.rays);
+        }
+        // Nodes cost the same whatever is in the leaves.
+        const StructureCosts* triangles = c.find(choices[i].name, "triangles");
+        const std::optional<StructureCosts> nodes =
+            triangles ? std::optional(*triangles) : std::nullopt;
+        c.structures.push_back(
+            costs_of(choices[i], kind, observations[i], c.cache_bytes, nodes ? &*nodes : nullptr));
+    }
+}
+
+}  // namespace
+
+void measure_structures(Calibration& c) {
+    const std::vector<CalibrationScene> samples = calibration_scenes();
+    for (const char* kind : {"triangles", "quadrics", "polygons"})
+        measure_structures(c, kind, samples);
+}
+
+}  // namespace crofton
