@@ -28,12 +28,6 @@ std::vector<Candidate> candidates_for(std::vector<PlanChoice> choices, const Sce
     return out;
 }
 
-const StructureChoice& quickest() {
-    for (const StructureChoice& s : structure_choices())
-        if (s.name == "wide_bvh/lbvh") return s;
-    return structure_choices().front();
-}
-
 /// What it takes to look at all candidates, seconds: about as long for few shapes as for many,
 /// since little of what this needs is in a cache.
 constexpr double look_s = 1.2e-4;
@@ -125,7 +119,7 @@ class Chooser {
     /// and those of nested structures by how a nested one compares there.
     void pilot() {
         constexpr double most_shapes = 1024, least_shapes = 256, most_cost = 0.5;
-        constexpr size_t rays = 256, compared = 1024;
+        constexpr size_t rays = 256, compared = 512;
         const double all = counts_.unique();
         if (sample_.rays.empty()) return;
         // An order that promises most is to be tried there, too.
@@ -164,7 +158,7 @@ class Chooser {
         }
         const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
         const double both = 2 * pilot_s(shapes, compared, seen);
-        if (counts_.placements <= 1 || both > 0.3 * outlook_.allowed()) return;
+        if (counts_.placements <= 1 || both > most_cost * outlook_.allowed()) return;
         const double one = seen_ns(flat, compared);
         outlook_.learn_placing(seen_ns(nested, compared) / one);
         spend(both);

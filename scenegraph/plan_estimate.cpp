@@ -53,14 +53,17 @@ StructureChoice structure_of(const AcceleratorChoice& accelerator) {
 }
 
 /// Counts of shapes do not say how good their order is; a sample does: of the largest mesh,
-/// which stands for all.
+/// which stands for all. No order is much better for rays than a tree that is built.
+/// @param built_ns  per ray, of the quickest
 void use_order(CostEstimate& e, const SceneCounts& counts, const StructureCosts& costs,
-               const Calibration& calibration) {
+               const Calibration& calibration, double built_ns) {
+    constexpr double least = 1.4;  // of what was seen in large scenes, where it matters
     const double counted = costs.counted_ns(counts.order.nodes, counts.weight * counts.order.tests,
                                             e.bytes, calibration.cache_bytes);
     // What the growth has for any order.
     const double mean = costs.at(counts.kinds.front().placed).ray_ns;
     e.ns_per_ray *= costs.order_scale * std::pow(counted, costs.order_power) / mean;
+    e.ns_per_ray = std::max(e.ns_per_ray, least * built_ns);
 }
 
 }  // namespace
@@ -141,7 +144,8 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
     if (!std::isfinite(e.total_s)) return e;
     if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration)) {
         if (uses_order(choice.structure) && counts.order.known && costs->order_scale > 0)
-            use_order(e, counts, *costs, calibration);
+            use_order(e, counts, *costs, calibration,
+                      flat_estimate(quickest(), counts, objective, calibration).ns_per_ray);
         else
             e.ns_per_ray *= 1 + (counts.weight - 1) * costs->test_share;
     }
@@ -164,6 +168,15 @@ PlanChoice plan_choice_of(const AssemblyPlan& plan) {
     return plan_choice(structure, plan.flatten       ? Placing::flat
                                   : plan.opening > 1 ? Placing::opened
                                                      : Placing::nested);
+}
+
+const StructureChoice& quickest() {
+    static const StructureChoice& choice = [&]() -> const StructureChoice& {
+        for (const StructureChoice& s : structure_choices())
+            if (s.name == "wide_bvh/lbvh") return s;
+        return structure_choices().front();
+    }();
+    return choice;
 }
 
 bool chooses_all(const AssemblyPlan& plan) {

@@ -48,6 +48,10 @@ const std::vector<PlanChoice>& quick_choices(bool several);
 /// A plan as a candidate: what estimates of it are made from.
 PlanChoice plan_choice_of(const AssemblyPlan& plan);
 
+/// The structure that is built fastest of those that rays are fast in, whatever the order of the
+/// shapes.
+const StructureChoice& quickest();
+
 /// Whether a plan leaves everything open: `auto` without parameters on top and for objects, and
 /// nothing else. Then choose_assembly decides for the scene as a whole, with rays at hand; where
 /// only a part is `auto`, that accelerator chooses for its own shapes.
