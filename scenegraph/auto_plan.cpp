@@ -119,7 +119,7 @@ class Chooser {
     /// and those of nested structures by how a nested one compares there.
     void pilot() {
         constexpr double most_shapes = 1024, least_shapes = 256, most_cost = 0.5;
-        constexpr size_t rays = 256, compared = 512;
+        constexpr size_t rays = 256, rays_of_pairs = 512;
         const double all = counts_.unique();
         if (sample_.rays.empty()) return;
         // An order that promises most is to be tried there, too.
@@ -132,16 +132,13 @@ class Chooser {
             const double all_cost = cost + (ordered ? pilot_s(shapes, rays, ns) : 0);
             if (all >= 4 * shapes && all_cost <= most_cost * outlook_.allowed()) break;
         }
-        const Pilot pilot(scene_, counts_, shapes, looked_at);
-        const auto seen_ns = [&](const PlanChoice& choice, size_t count) {
-            const std::vector<Ray> some = some_of(sample_.rays, count);
-            return pilot
-                .estimate(choice, plan_of(choice), {some, sample_.any, sample_.mode}, options_,
-                          calibration_)
-                .ns_per_ray;
-        };
+        Pilot pilot(scene_, counts_, shapes, looked_at);
         const PlanChoice flat = plan_choice(quickest(), PlanChoice::Placing::flat);
-        const double seen = seen_ns(flat, rays);
+        const std::vector<Ray> some = some_of(sample_.rays, rays);
+        const double seen = pilot
+                                .estimate(flat, plan_of(flat), {some, sample_.any, sample_.mode},
+                                          options_, calibration_)
+                                .ns_per_ray;
         spend(cost);
         outlook_.learn_from_pilot(seen /
                                   estimate(flat, counts_, options_, calibration_).ns_per_ray);
@@ -152,15 +149,14 @@ class Chooser {
             // What a sample says of the order is not enough to build by, and no order that was seen
             // is as good as a tree that is built.
             constexpr double least = 1.2;
-            const double ratio = seen_ns(outlook_.candidates()[best].choice, rays) / seen;
+            const double ratio = compared(pilot, outlook_.candidates()[best].choice, flat, rays);
             spend(again);
             outlook_.learn_from_pilots(best, index_of(flat), std::max(least, ratio));
         }
         const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
-        const double both = 2 * pilot_s(shapes, compared, seen);
+        const double both = 2 * pilot_s(shapes, rays_of_pairs, seen);
         if (counts_.placements <= 1 || both > most_cost * outlook_.allowed()) return;
-        const double one = seen_ns(flat, compared);
-        outlook_.learn_placing(seen_ns(nested, compared) / one);
+        outlook_.learn_placing(compared(pilot, nested, flat, rays_of_pairs));
         spend(both);
     }
 
@@ -207,19 +203,19 @@ class Chooser {
             if (shapes < 128 || cost > most_of_build * e.build_s || cost > outlook_.allowed())
                 return next;
             if (!dear_pilot_) dear_pilot_.emplace(scene_, counts_, shapes, looked_at);
-            const double a = piloted_ns(next, rays), b = piloted_ns(held_, rays);
-            outlook_.learn_from_pilots(next, held_, a / b);
+            const double ratio = compared(*dear_pilot_, outlook_.candidates()[next].choice,
+                                          outlook_.candidates()[held_].choice, rays);
+            outlook_.learn_from_pilots(next, held_, ratio);
             spend(cost);
         }
     }
 
-    double piloted_ns(size_t i, size_t rays) const {
-        const PlanChoice& choice = outlook_.candidates()[i].choice;
+    /// See Pilot::ratio.
+    double compared(Pilot& pilot, const PlanChoice& choice, const PlanChoice& other,
+                    size_t rays) const {
         const std::vector<Ray> some = some_of(sample_.rays, rays);
-        return dear_pilot_
-            ->estimate(choice, plan_of(choice), {some, sample_.any, sample_.mode}, options_,
-                       calibration_)
-            .ns_per_ray;
+        return pilot.ratio(choice, other, {some, sample_.any, sample_.mode}, options_,
+                           calibration_);
     }
 
     /// Builds candidate i, looks at it, and keeps the better of it and what was held.

@@ -89,6 +89,32 @@ Pilot::Pilot(const Scene& scene, const SceneCounts& counts, double shapes, size_
     thin_counts_.weight = counts.weight;
 }
 
+/// Shapes of the scene for one of the thinned scene.
+double Pilot::growth() const {
+    return std::max(1.0, counts_.placed()) / std::max(1.0, thin_counts_.placed());
+}
+
+const Assembly& Pilot::built(const PlanChoice& choice) {
+    const auto found = built_.find(choice.name);
+    if (found != built_.end()) return found->second;
+    return built_.emplace(choice.name, assemble(thin_, plan_of(choice))).first->second;
+}
+
+double Pilot::ratio(const PlanChoice& choice, const PlanChoice& other, const RaySample& sample,
+                    const AutoOptions& options, const Calibration& calibration) {
+    const auto costs = [&](const PlanChoice& c) {
+        return costs_of(c.structure, counts_.main_kind(), calibration);
+    };
+    const StructureCosts *own = costs(choice), *others = costs(other);
+    if (!own || !others) return infinity;
+    const auto counted = [&](const PlanChoice& c) {
+        return counted_ns(*built(c).root, c.structure, thin_counts_, sample, calibration);
+    };
+    const double thin = options.clock ? time_ratio(*built(choice).root, *built(other).root, sample)
+                                      : counted(choice) / counted(other);
+    return thin * std::pow(growth(), own->thin_ray - others->thin_ray);
+}
+
 CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
                              const RaySample& sample, const AutoOptions& options,
                              const Calibration& calibration, int builds, double* factor) const {
@@ -103,15 +129,14 @@ CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
         assembly = assemble(thin_, plan);
         seconds.push_back(assembly.build_s);
     }
-    const double growth = std::max(1.0, counts_.placed()) / std::max(1.0, thin_counts_.placed());
     const auto counted = [&] {
         return counted_ns(*assembly.root, choice.structure, thin_counts_, sample, calibration);
     };
     const double ns = options.clock ? observed_ns(*assembly.root, sample) : counted();
     if (factor) *factor = ns / counted();
-    full.ns_per_ray = ns * std::pow(growth, costs->thin_ray);
+    full.ns_per_ray = ns * std::pow(growth(), costs->thin_ray);
     if (options.clock && !is_lazy(choice.structure))
-        full.build_s = median(std::move(seconds)) * std::pow(growth, costs->thin_build);
+        full.build_s = median(std::move(seconds)) * std::pow(growth(), costs->thin_build);
     // A thinned mesh shares few corners, and on shared ones the patches of wide_bvh live.
     if (choice.structure.type != "wide_bvh")
         full.bytes *= double(total_statistics(*assembly.root).bytes) / thin.bytes;

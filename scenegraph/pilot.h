@@ -1,7 +1,9 @@
 #pragma once
 
 #include <limits>
+#include <map>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "framework/primitive.h"
@@ -38,7 +40,16 @@ class Pilot {
                           const Calibration& calibration, int builds = 1,
                           double* factor = nullptr) const;
 
+    /// What rays are expected to take in one structure of the scene over what they take in another:
+    /// as over the thinned scene, timed in turns, or counted where options.clock is false.
+    double ratio(const PlanChoice& choice, const PlanChoice& other, const RaySample& sample,
+                 const AutoOptions& options, const Calibration& calibration);
+
   private:
+    double growth() const;
+    const Assembly& built(const PlanChoice& choice);
+
+    std::map<std::string, Assembly> built_;  ///< by the choices' names
     Scene thin_;
     SceneCounts counts_, thin_counts_;
 };
