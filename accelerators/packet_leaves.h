@@ -141,13 +141,11 @@ class PacketLeaves {
         return (open & ~plain) | solve(patch, triangle, r, left);
     }
 
-    /// Of rays that pass through the inside of a triangle, answers those in whose interval all of
-    /// its depths are: wherever single calls find t, it is between these.
+    /// Of rays that pass through the inside of a triangle, answers those that hit it for certain.
     HWY_INLINE uint32_t answer_surely(V near, V far, size_t r, uint32_t rays) {
-        const auto t_min = hn::Load(d, packet_.t_min + r), t_max = hn::Load(d, packet_.t_best + r);
-        const auto slack = hn::Set(d, 1 + cull_slack);
-        const uint32_t sure = rays & mask_bits(d, hn::And(hn::Gt(near, hn::Mul(t_min, slack)),
-                                                          hn::Lt(hn::Mul(far, slack), t_max)));
+        const uint32_t sure =
+            rays & mask_bits(d, surely_within(d, near, far, hn::Load(d, packet_.t_min + r),
+                                              hn::Load(d, packet_.t_best + r)));
         answer(d, r, sure);
         return sure;
     }

@@ -268,6 +268,16 @@ HWY_INLINE void solve_in_double(D d, const Source& source, const RayQuery& q,
     }
 }
 
+/// Where a ray that passes through the inside of a triangle hits it in [t_min, t_max] for certain:
+/// wherever t is found, it is between the depths of the corners.
+/// @param near, far  least and largest of these depths, in float
+template <class D, class V>
+HWY_INLINE hn::Mask<D> surely_within(D d, V near, V far, V t_min, V t_max) {
+    const auto slack = hn::Set(d, cull_slack);
+    return hn::And(hn::Ge(hn::NegMulAdd(hn::Abs(near), slack, near), t_min),
+                   hn::Le(hn::MulAdd(hn::Abs(far), slack, far), t_max));
+}
+
 /// Tests N triangles by their sheared corners (Woop, Benthin, Wald 2013).
 ///
 /// An edge function is the difference of two rounded products of rounded, shared coordinates.
@@ -302,6 +312,11 @@ HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y
         hn::And(hit, hn::And(hn::Le(near, hn::Set(d, q.t_cull)), hn::Ge(far, hn::Set(d, q.t_low))));
     if (hn::AllFalse(d, hit)) return false;
 
+    if (Q == Query::any && HWY_LIKELY(q.mode != Mode::fast)) {
+        const auto inside = hn::And(hn::Ne(low, zero), hn::Ne(high, zero));
+        const auto within = surely_within(d, near, far, hn::Set(d, q.t_min), hn::Set(d, q.t_best));
+        if (!hn::AllFalse(d, hn::And(hit, hn::And(inside, within)))) return true;
+    }
     LaneHits<hn::MaxLanes(D())> hits;
     hits.open = mask_bits(d, hit);
     if (HWY_UNLIKELY(q.mode == Mode::fast)) {

@@ -280,6 +280,28 @@ TEST_CASE("ray packet: sixteen nearly equal rays at every hard place") {
     }
 }
 
+TEST_CASE("what ends just before or behind an interval is no occluder, also behind the origin") {
+    const HeightField mesh(8, [](float x, float y) { return Vec3f(x / 8, y / 8, 0.5f); });
+    const auto set = std::make_shared<const TriangleSet>(mesh.corners, mesh.triangles);
+    for (const char* name : {"bvh", "wide_bvh"}) {
+        const auto ground = accelerator(name).build(set, {});
+        // The ground is at t = -1; ends are off by less than a leaf test's slack, and by more.
+        for (const float off : {1e-6f, 2e-5f, 5e-5f, 1e-3f})
+            for (const int side : {-1, 1}) {
+                std::vector<Ray> rays(64);
+                for (size_t i = 0; i < rays.size(); ++i) {
+                    rays[i].origin = Vec3f(0.4f, 0.4f, 1.5f);
+                    rays[i].direction =
+                        Vec3f(0.01f * float(i % 8) - 0.041f, 0.01f * float(i / 8) - 0.042f, 1);
+                    rays[i].t_min = i % 2 ? -1 + float(side) * off : -5;
+                    rays[i].t_max = i % 2 ? 5 : -1 + float(side) * off;
+                }
+                CAPTURE(name, off, side);
+                CHECK(check_span(*ground, rays, Mode::robust) == 32);
+            }
+    }
+}
+
 TEST_CASE("ray packet: it was futile where rays are far apart for the triangles they pass") {
     const auto was_futile = [](uint32_t cells, float apart) {
         const auto ground = bumpy_ground("wide_bvh", cells);
