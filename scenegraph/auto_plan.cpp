@@ -121,7 +121,7 @@ class Chooser {
         constexpr double most_shapes = 1024, least_shapes = 256, most_cost = 0.5;
         constexpr size_t rays = 256, rays_of_pairs = 512;
         const double all = counts_.unique();
-        if (sample_.rays.empty()) return;
+        if (sample_.rays.empty() || all < 4 * least_shapes) return;
         // An order that promises most is to be tried there, too.
         const bool ordered = uses_order(outlook_.candidates()[outlook_.best()].choice.structure);
         const double ns = outlook_[outlook_.best()].ns_per_ray;

@@ -538,9 +538,12 @@ TEST_CASE("auto: what two thinned structures show is believed more than what cou
 TEST_CASE("auto: without rays to try, and for empty scenes, counts alone decide") {
     CHECK(choose(two_terrains(), counted_for(1e9), {}).choice().choice.structure.name ==
           "bvh/sbvh");
-    const Selection none = choose(Scene{}, counted_for(1e6), {});
-    REQUIRE(none.assembly.root);
-    CHECK_FALSE(none.assembly.root->intersect(Ray{}).is_hit());
+    const auto rays = random_lines({Vec3d::Zero(), 50}, 64, 1);
+    for (const std::span<const Ray> some : {std::span<const Ray>(), std::span<const Ray>(rays)}) {
+        const Selection none = choose(Scene{}, counted_for(1e6), some);
+        REQUIRE(none.assembly.root);
+        CHECK_FALSE(none.assembly.root->intersect(Ray{}).is_hit());
+    }
 }
 
 TEST_CASE("auto: what is chosen gives the hits of any other structure") {
