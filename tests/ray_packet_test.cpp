@@ -298,6 +298,10 @@ TEST_CASE("what ends just before or behind an interval is no occluder, also behi
                 }
                 CAPTURE(name, off, side);
                 CHECK(check_span(*ground, rays, Mode::robust) == 32);
+                size_t wrong = 0;
+                for (const Ray& ray : rays)
+                    wrong += ground->occluded(ray) != ground->intersect(ray).is_hit();
+                CHECK(wrong == 0);
             }
     }
 }
