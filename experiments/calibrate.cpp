@@ -4,7 +4,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -20,6 +19,7 @@
 #include "experiments/results.h"
 #include "experiments/statistics.h"
 #include "experiments/workload.h"
+#include "framework/clock.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
 #include "framework/transform.h"
@@ -28,12 +28,6 @@
 
 namespace crofton {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 MeasuredCost cost_of(std::vector<double> ns) {
     const MedianInterval m = median_interval(std::move(ns));

@@ -1,7 +1,6 @@
 #include "experiments/calibrate_structures.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <map>
 #include <optional>
@@ -11,6 +10,7 @@
 #include "experiments/fit.h"
 #include "experiments/measure.h"
 #include "experiments/statistics.h"
+#include "framework/clock.h"
 #include "scenegraph/assemble.h"
 #include "scenegraph/pilot.h"
 #include "scenegraph/thinned.h"
@@ -18,20 +18,8 @@
 namespace crofton {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
-
-AssemblyPlan flat_plan(const std::string& type, const ParameterValues& parameters) {
-    auto choice = std::make_shared<AcceleratorChoice>();
-    choice->label = choice->type = type;
-    choice->parameters = parameters;
-    AssemblyPlan plan;
-    plan.top = plan.objects = choice;
-    plan.flatten = true;
-    return plan;
+AssemblyPlan flat_plan(const StructureChoice& choice) {
+    return plan_of(plan_choice(choice, PlanChoice::Placing::flat));
 }
 
 /// One structure over one sample.
@@ -67,8 +55,8 @@ struct Reference {
     std::vector<const std::vector<Ray>*> sets;  ///< of rays, those that there are
     std::vector<std::vector<double>> ns;        ///< per ray, of each set whenever it was timed
 
-    explicit Reference(const CalibrationScene& sample, const StructureChoice& choice)
-        : assembly(assemble(sample.scene, flat_plan(choice.type, choice.parameters))) {
+    Reference(const CalibrationScene& sample, const StructureChoice& choice)
+        : assembly(assemble(sample.scene, flat_plan(choice))) {
         for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
             if (!rays->empty()) sets.push_back(rays);
         ns.resize(sets.size());
@@ -82,7 +70,7 @@ std::vector<Ray> timed_rays(const std::vector<Ray>& rays, const Primitive& a, co
     return some_of(rays, std::max<size_t>(64, size_t(3.5e6 / std::max(ns, 1.0))));
 }
 
-/// Counts, and times over those of the reference, see absolute.
+/// Counts, and times over those of the reference, see make_absolute.
 std::vector<RayCost> ray_costs(const Primitive& root, Reference& reference) {
     std::vector<RayCost> costs;
     const Primitive& other = *reference.assembly.root;
@@ -106,9 +94,8 @@ void make_absolute(std::vector<RayCost>& costs, const Reference& reference) {
 }
 
 /// Lazy structures are built by rays that meet every part.
-void wake(const Primitive& root, const CalibrationScene& sample) {
-    for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
-        trace_hits(root, *rays, {false, 1});
+void wake(const Primitive& root, const Reference& reference) {
+    for (const std::vector<Ray>* rays : reference.sets) trace_hits(root, *rays, {false, 1});
 }
 
 /// What pilots do, to scenes whose costs are known.
@@ -134,16 +121,16 @@ void observe_thinned(const AssemblyPlan& plan, Observation& o, const Primitive& 
 
 Observation observe(const StructureChoice& choice, const CalibrationScene& sample,
                     Reference& reference) {
-    const AssemblyPlan plan = flat_plan(choice.type, choice.parameters);
+    const AssemblyPlan plan = flat_plan(choice);
     Observation o{&sample, 0, 0, 0, 0, 0, {}, {}, {}};
     Assembly assembly;
     double seconds = build_seconds(sample.scene, plan, assembly);
     if (choice.parameters.contains("lazy")) {
         const auto start = Clock::now();
-        wake(*assembly.root, sample);
+        wake(*assembly.root, reference);
         const double first = seconds_since(start);
         const auto again = Clock::now();
-        wake(*assembly.root, sample);
+        wake(*assembly.root, reference);
         seconds += std::max(0.0, first - seconds_since(again));
     }
     const double n = double(sample.count);
@@ -160,7 +147,7 @@ Observation observe(const StructureChoice& choice, const CalibrationScene& sampl
 void set_coherence(StructureCosts& costs, const std::vector<Observation>& observations) {
     std::vector<double> together, apart;
     for (const Observation& o : observations) {
-        constexpr size_t view = 1;  // see ray_costs
+        constexpr size_t view = 1;  // see Reference
         if (o.rays.size() <= view || o.sample->view.empty()) continue;
         std::vector<RayCost> others = o.rays;
         others.erase(others.begin() + view);
@@ -267,12 +254,11 @@ void measure_structures(Calibration& c, const std::string& kind,
             make_absolute(o.rays, references.at(o.sample));
             o.ray_ns = geometric_mean_ns(o.rays);
         }
-        // Nodes cost the same whatever is in the leaves.
-        const StructureCosts* triangles = c.find(choices[i].name, "triangles");
-        const std::optional<StructureCosts> nodes =
-            triangles ? std::optional(*triangles) : std::nullopt;
-        c.structures.push_back(
-            costs_of(choices[i], kind, observations[i], c.cache_bytes, nodes ? &*nodes : nullptr));
+        // Nodes cost the same whatever is in the leaves: as found over triangles, which come first.
+        const StructureCosts* nodes = c.find(choices[i].name, "triangles");
+        const StructureCosts costs =
+            costs_of(choices[i], kind, observations[i], c.cache_bytes, nodes);
+        c.structures.push_back(costs);
     }
 }
 

@@ -9,6 +9,7 @@
 #include <string>
 
 #include "experiments/camera.h"
+#include "framework/clock.h"
 #include "framework/error.h"
 #include "framework/parallel.h"
 #include "scenegraph/shading.h"
@@ -27,10 +28,6 @@ namespace {
 
 constexpr int legend_height = 34;
 const Vec3d background(0.13, 0.13, 0.15);
-
-double seconds_since(std::chrono::steady_clock::time_point start) {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-}
 
 /// Where a cost stands on the scale from 1 to `highest`.
 double scale_position(double cost, double highest) {

@@ -312,8 +312,8 @@ HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y
         hn::And(hit, hn::And(hn::Le(near, hn::Set(d, q.t_cull)), hn::Ge(far, hn::Set(d, q.t_low))));
     if (hn::AllFalse(d, hit)) return false;
 
+    const auto inside = hn::And(hn::Ne(low, zero), hn::Ne(high, zero));
     if (Q == Query::any && HWY_LIKELY(q.mode != Mode::fast)) {
-        const auto inside = hn::And(hn::Ne(low, zero), hn::Ne(high, zero));
         const auto within = surely_within(d, near, far, hn::Set(d, q.t_min), hn::Set(d, q.t_best));
         if (!hn::AllFalse(d, hn::And(hit, hn::And(inside, within)))) return true;
     }
@@ -322,7 +322,7 @@ HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y
     if (HWY_UNLIKELY(q.mode == Mode::fast)) {
         solve_in_float(d, edge, z, q, hits);
     } else {
-        hits.plain = hits.open & mask_bits(d, hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
+        hits.plain = hits.open & mask_bits(d, inside);
         if (HWY_LIKELY(hits.plain)) solve_in_double<Q>(d, source, q, hits);
     }
     for (uint32_t open = hits.open; open; open &= open - 1) {

@@ -3,18 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <optional>
 
+#include "framework/clock.h"
+
 namespace crofton {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 std::vector<Candidate> candidates_for(std::vector<PlanChoice> choices, const SceneCounts& counts,
                                       const AutoOptions& options, const Calibration& calibration) {
@@ -128,9 +123,9 @@ class Chooser {
         double shapes = most_shapes, cost = 0;
         for (;; shapes /= 2) {
             if (shapes < least_shapes) return;
-            cost = thinning_s(shapes) + pilot_s(shapes, rays, ns);
-            const double all_cost = cost + (ordered ? pilot_s(shapes, rays, ns) : 0);
-            if (all >= 4 * shapes && all_cost <= most_cost * outlook_.allowed()) break;
+            const double one = pilot_s(shapes, rays, ns), most = most_cost * outlook_.allowed();
+            cost = thinning_s(shapes) + one;
+            if (all >= 4 * shapes && cost + (ordered ? one : 0) <= most) break;
         }
         Pilot pilot(scene_, counts_, shapes, looked_at);
         const PlanChoice flat = plan_choice(quickest(), PlanChoice::Placing::flat);

@@ -125,7 +125,8 @@ size_t Outlook::first() const {
         // An order's rays say little of those of other structures.
         if (!e.fits || is_lazy(s) || uses_order(s) || e.total_s > as_good * now_[best].total_s)
             continue;
-        if (e.build_s + trial_s(e.ns_per_ray) <= most && e.total_s < least) least = e.total_s, stone = i;
+        if (e.build_s + trial_s(e.ns_per_ray) <= most && e.total_s < least)
+            least = e.total_s, stone = i;
     }
     return stone == best ? surest(best) : stone;
 }
@@ -179,7 +180,8 @@ double Outlook::gain(size_t i, size_t held) const {
 }
 
 /// Whether the time for choosing allows to build candidate i, too: of the two builds, the one that
-/// is not used in the end is lost, whichever that is. That of what is held, if it is nearly certain.
+/// is not used in the end is lost, whichever that is. That of what is held, if it is nearly
+/// certain.
 bool Outlook::affordable(size_t i, size_t held) const {
     constexpr double nearly_certain = 0.9;
     const double better = std::log(now_[held].ns_per_ray / now_[i].ns_per_ray);

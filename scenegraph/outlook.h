@@ -65,7 +65,7 @@ class Outlook {
     std::vector<Candidate> sorted(size_t& i) &&;
 
   private:
-    static constexpr double kept_within = 0.8;
+    static constexpr double kept_within = 0.8;  ///< of the share, for totals that come out smaller
 
     double spread_of(size_t i) const;
     size_t surest(size_t best) const;

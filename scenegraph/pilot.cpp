@@ -1,23 +1,17 @@
 #include "scenegraph/pilot.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <limits>
 
+#include "framework/clock.h"
 #include "scenegraph/thinned.h"
 
 namespace crofton {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
 constexpr size_t observed_parts = 4;
 constexpr double infinity = std::numeric_limits<double>::infinity();
-
-double seconds_since(Clock::time_point start) {
-    return std::chrono::duration<double>(Clock::now() - start).count();
-}
 
 double median(std::vector<double> values) {
     std::nth_element(values.begin(), values.begin() + long(values.size() / 2), values.end());

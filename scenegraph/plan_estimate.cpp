@@ -171,7 +171,7 @@ PlanChoice plan_choice_of(const AssemblyPlan& plan) {
 }
 
 const StructureChoice& quickest() {
-    static const StructureChoice& choice = [&]() -> const StructureChoice& {
+    static const StructureChoice& choice = []() -> const StructureChoice& {
         for (const StructureChoice& s : structure_choices())
             if (s.name == "wide_bvh/lbvh") return s;
         return structure_choices().front();
