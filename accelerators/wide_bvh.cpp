@@ -19,8 +19,8 @@ struct WideBvhTraversal {
     static bool run(const WideBvh<Set>& bvh, const Set& set, const LocalRay& ray, RayQuery& q,
                     C& counters, TraversalStart start = {}) {
         return with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
-            return bvh.nodes.visit([&](const auto* nodes) HWY_ATTR {
-                return run_nodes<Q>(bvh, nodes, leaves, set, ray, q, counters, start);
+            return visit_nodes(bvh.nodes, [&](const auto* nodes) HWY_ATTR {
+                return run_nodes<Q>(nodes, leaves, set, ray, q, counters, start.index);
             });
         });
     }
@@ -37,7 +37,7 @@ struct WideBvhTraversal {
             return run<Q>(bvh, set, ray, query, none, {child, 0});
         };
         with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
-            bvh.nodes.visit_full([&](const auto* nodes) HWY_ATTR {
+            visit_width<WideNode>(bvh.nodes, [&](const auto* nodes) HWY_ATTR {
                 PacketTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
                                 std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, packet)
                     .run(alone);
@@ -53,7 +53,7 @@ struct WideBvhTraversal {
             return run<Q>(bvh, set, ray, query, none);
         };
         with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
-            bvh.nodes.visit([&](const auto* nodes) HWY_ATTR {
+            visit_nodes(bvh.nodes, [&](const auto* nodes) HWY_ATTR {
                 CrowdTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
                                std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, crowd)
                     .run(alone);
@@ -88,22 +88,21 @@ struct WideBvhTraversal {
         if (HWY_UNLIKELY(far < near)) std::swap(far, near);
     }
 
+    /// A function by itself, whose arguments come in registers.
     template <Query Q, class Node, class Set, class Leaves, class C>
-    static HWY_INLINE bool run_nodes(const WideBvh<Set>& bvh, const Node* nodes,
-                                     const Leaves& leaves, const Set& set, const LocalRay& ray,
-                                     RayQuery& q, C& counters, TraversalStart start) {
-        if (bvh.box.empty()) return false;
+    static HWY_NOINLINE bool run_nodes(const Node* nodes, const Leaves& leaves, const Set& set,
+                                       const LocalRay& ray, RayQuery& q, C& counters,
+                                       uint32_t current) {
+        if (HWY_UNLIKELY(!nodes)) return false;  // nothing was built
         const ChildrenTest<Node> boxes(ray);
         Entry stack[WideBvh<Set>::max_depth * (Node::width - 1) + 1];
         Entry* top = stack;
-        uint32_t current = start.index;
-        const float t_low = q.t_low;
         while (true) {
             while (!WideChild::is_leaf(current)) {
                 const Node& node = node_at(nodes, current);
                 counters.step();
                 alignas(4 * Node::width) float t[Node::width];
-                uint32_t hits = test_children(boxes, node, t_low, q.t_cull, t);
+                uint32_t hits = test_children(boxes, node, q.t_low, q.t_cull, t);
                 if (hits == 0) goto pop;
                 const uint32_t first = lowest(hits);
                 hits &= hits - 1;

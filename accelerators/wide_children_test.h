@@ -6,12 +6,32 @@
 #define CROFTON_ACCELERATORS_WIDE_CHILDREN_TEST_H_
 #endif
 
+#include <cstring>
+
 #include "accelerators/wide_nodes.h"
 #include "framework/simd.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
+
+/// WideNodes::visit, compiled for the target: what that calls would be a function by itself.
+template <template <int> class Node, class F>
+HWY_INLINE auto visit_width(const WideNodes& nodes, const F& f) {
+    switch (nodes.width()) {
+        case 4:
+            return f(nodes.first<Node<4>>());
+        case 16:
+            return f(nodes.first<Node<16>>());
+        default:
+            return f(nodes.first<Node<8>>());
+    }
+}
+template <class F>
+HWY_INLINE auto visit_nodes(const WideNodes& nodes, const F& f) {
+    return HWY_LIKELY(nodes.format() == WideFormat::full) ? visit_width<WideNode>(nodes, f)
+                                                          : visit_width<QuantisedNode>(nodes, f);
+}
 
 /// Children that are tested at once.
 template <class Node>
@@ -21,20 +41,31 @@ using ChildLanes = hn::Vec<NodeLanes<Node>>;
 template <class Node>
 using ChildMask = hn::Mask<NodeLanes<Node>>;
 
-/// Tests all children of a node, as many at once as a vector has lanes.
+/// What became of a node's children, as many side by side as a vector has lanes.
+template <class Node>
+struct ChildrenMet {
+    static constexpr size_t lanes = hn::MaxLanes(NodeLanes<Node>()), parts = Node::width / lanes;
+    ChildLanes<Node> enter[parts];  ///< where the ray enters each
+    ChildMask<Node> met[parts];     ///< which may be hit
+
+    HWY_INLINE uint32_t bits() const {
+        uint32_t bits = 0;
+        for (size_t p = 0; p < parts; ++p)
+            bits |= mask_bits(NodeLanes<Node>(), met[p]) << p * lanes;
+        return bits;
+    }
+};
+
+/// Tests all children of a node.
 /// @param t_near  Node::width floats: where the ray enters each child
 /// @return bit i: child i may be hit within [t_low, t_cull]
 template <class Test, class Node>
 HWY_INLINE uint32_t test_children(const Test& test, const Node& node, float t_low, float t_cull,
                                   float* HWY_RESTRICT t_near) {
-    uint32_t hits = 0;
-    const NodeLanes<Node> d;
-    for (size_t i = 0; i < Node::width; i += hn::MaxLanes(d)) {
-        ChildLanes<Node> enter;
-        hits |= mask_bits(d, test.lanes(node, i, t_low, t_cull, enter)) << i;
-        hn::Store(enter, d, t_near + i);
-    }
-    return hits;
+    const ChildrenMet<Node> children = test(node, t_low, t_cull);
+    for (size_t p = 0; p < children.parts; ++p)
+        hn::Store(children.enter[p], NodeLanes<Node>(), t_near + p * children.lanes);
+    return children.bits();
 }
 
 /// Which planes a ray meets first is an offset into the node.
@@ -43,56 +74,62 @@ struct PlaneOffsets {
     size_t enter[3], leave[3];
     HWY_INLINE PlaneOffsets(const LocalRay& ray, size_t begin, size_t size) {
         for (size_t a = 0; a < 3; ++a) {
-            const size_t upper = std::signbit(ray.rcp[a]) ? 3 * size : 0;
+            int32_t bits;
+            std::memcpy(&bits, &ray.rcp[a], sizeof bits);
+            const size_t upper = size_t(bits >> 31) & 3 * size;
             enter[a] = begin + a * size + upper;
             leave[a] = begin + (a + 3) * size - upper;
         }
     }
 };
 
-/// Where a ray enters and leaves some children of a node, as many as a vector has lanes, by one
-/// fused operation a plane: see LocalRay for its error. The ray's numbers come from memory each
-/// time: they are operands of the arithmetic, and leaf tests would have emptied the registers.
+/// Tests all children of a node, by one fused operation a plane: see LocalRay for its error. The
+/// ray's numbers come from memory each time, one load for all lanes: leaf tests would have emptied
+/// the registers. Plane by plane, so that few of them are needed.
 template <class Node>
 class ChildrenTest;
 
 template <int W>
 class ChildrenTest<WideNode<W>> {
     using Node = WideNode<W>;
+    using Met = ChildrenMet<Node>;
 
   public:
     explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
-        : ray_(ray), offsets_(ray, offsetof(Node, planes), W * sizeof(float)) {
-        const hn::FixedTag<float, 4> f4;
-        hn::Store(hn::Mul(hn::LoadU(f4, ray.near_origin), hn::LoadU(f4, ray.rcp)), f4, enter_);
-        hn::Store(hn::Mul(hn::LoadU(f4, ray.far_origin), hn::LoadU(f4, ray.far_rcp)), f4, leave_);
-    }
+        : ray_(ray), offsets_(ray, offsetof(Node, planes), W * sizeof(float)) {}
 
-    /// Of the children from `first` on, as many as a vector has lanes: where the ray enters each.
-    /// @return  which may be hit within [t_low, t_cull]
-    HWY_INLINE ChildMask<Node> lanes(const Node& node, size_t first, float t_low, float t_cull,
-                                     ChildLanes<Node>& enter) const {
+    /// Which children may be hit within [t_low, t_cull].
+    HWY_INLINE Met operator()(const Node& node, float t_low, float t_cull) const {
         const NodeLanes<Node> d;
         const auto* const bytes = reinterpret_cast<const char*>(&node);
-        const auto at = [&](size_t offset, const float& base, const float& rcp) HWY_ATTR {
-            const auto plane = hn::Load(d, reinterpret_cast<const float*>(bytes + offset) + first);
-            return hn::MulSub(plane, hn::Set(d, rcp), hn::Set(d, base));
-        };
-        const auto x0 = at(offsets_.enter[0], enter_[0], ray_.rcp[0]);
-        const auto y0 = at(offsets_.enter[1], enter_[1], ray_.rcp[1]);
-        const auto z0 = at(offsets_.enter[2], enter_[2], ray_.rcp[2]);
-        const auto x1 = at(offsets_.leave[0], leave_[0], ray_.far_rcp[0]);
-        const auto y1 = at(offsets_.leave[1], leave_[1], ray_.far_rcp[1]);
-        const auto z1 = at(offsets_.leave[2], leave_[2], ray_.far_rcp[2]);
-        enter = hn::Max(hn::Max(x0, y0), hn::Max(z0, hn::Set(d, t_low)));
-        const auto leave = hn::Min(hn::Min(x1, y1), hn::Min(z1, hn::Set(d, t_cull)));
-        return hn::Le(enter, leave);
+        Met children;
+        ChildLanes<Node> leave[Met::parts];
+        for (size_t p = 0; p < Met::parts; ++p) {
+            children.enter[p] = hn::Set(d, t_low);
+            leave[p] = hn::Set(d, t_cull);
+        }
+        for (size_t a = 0; a < 3; ++a) {
+            const auto in = reinterpret_cast<const float*>(bytes + offsets_.enter[a]);
+            const auto rcp = hn::Set(d, ray_.rcp[a]), base = hn::Set(d, ray_.near_base[a]);
+            for (size_t p = 0; p < Met::parts; ++p)
+                children.enter[p] = hn::Max(
+                    children.enter[p], hn::MulSub(hn::Load(d, in + p * Met::lanes), rcp, base));
+        }
+        for (size_t a = 0; a < 3; ++a) {
+            const auto out = reinterpret_cast<const float*>(bytes + offsets_.leave[a]);
+            const auto rcp = hn::Set(d, ray_.far_rcp[a]), base = hn::Set(d, ray_.far_base[a]);
+            for (size_t p = 0; p < Met::parts; ++p)
+                leave[p] =
+                    hn::Min(leave[p], hn::MulSub(hn::Load(d, out + p * Met::lanes), rcp, base));
+        }
+        for (size_t p = 0; p < Met::parts; ++p)
+            children.met[p] = hn::Le(children.enter[p], leave[p]);
+        return children;
     }
 
   private:
     const LocalRay& ray_;
     PlaneOffsets offsets_;
-    alignas(16) float enter_[4], leave_[4];  ///< near_origin·rcp, far_origin·far_rcp
 };
 
 /// One multiplication and addition a plane: the node's grid is moved to the ray first. The error of
@@ -100,31 +137,47 @@ class ChildrenTest<WideNode<W>> {
 template <int W>
 class ChildrenTest<QuantisedNode<W>> {
     using Node = QuantisedNode<W>;
+    using Met = ChildrenMet<Node>;
 
   public:
     explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
         : ray_(ray), offsets_(ray, offsetof(Node, planes), W) {}
 
-    /// Of the children from `first` on, as above.
-    HWY_INLINE ChildMask<Node> lanes(const Node& node, size_t first, float t_low, float t_cull,
-                                     ChildLanes<Node>& enter) const {
+    /// As above.
+    HWY_INLINE Met operator()(const Node& node, float t_low, float t_cull) const {
         const NodeLanes<Node> d;
         const hn::Rebind<uint8_t, NodeLanes<Node>> d8;
         const hn::Rebind<int32_t, NodeLanes<Node>> d32;
-        const auto* const bytes = reinterpret_cast<const uint8_t*>(&node) + first;
-        const auto at = [&](size_t offset, int a, const float* origin, const float* rcp) HWY_ATTR {
-            const auto plane = hn::ConvertTo(d, hn::PromoteTo(d32, hn::LoadU(d8, bytes + offset)));
-            return hn::MulAdd(plane, hn::Set(d, node.scale[a] * rcp[a]),
-                              hn::Set(d, (node.origin[a] - origin[a]) * rcp[a]));
-        };
-        enter = hn::Set(d, t_low);
-        auto leave = hn::Set(d, t_cull);
-        for (int a = 0; a < 3; ++a) {
-            enter = hn::Max(enter, at(offsets_.enter[a], a, ray_.near_origin, ray_.rcp));
-            leave = hn::Min(leave, at(offsets_.leave[a], a, ray_.far_origin, ray_.far_rcp));
+        const auto* const bytes = reinterpret_cast<const uint8_t*>(&node);
+        Met children;
+        ChildLanes<Node> leave[Met::parts];
+        for (size_t p = 0; p < Met::parts; ++p) {
+            children.enter[p] = hn::Set(d, t_low);
+            leave[p] = hn::Set(d, t_cull);
         }
-        const auto used = hn::FirstN(d, node.children > first ? node.children - first : 0);
-        return hn::And(hn::Le(enter, leave), used);
+        const auto load = [&](size_t offset, size_t p) HWY_ATTR {
+            const auto plane = hn::LoadU(d8, bytes + offset + p * Met::lanes);
+            return hn::ConvertTo(d, hn::PromoteTo(d32, plane));
+        };
+        for (size_t a = 0; a < 3; ++a) {
+            const auto in = hn::Set(d, node.scale[a] * ray_.rcp[a]),
+                       base = hn::Set(d, (node.origin[a] - ray_.near_origin[a]) * ray_.rcp[a]);
+            for (size_t p = 0; p < Met::parts; ++p)
+                children.enter[p] =
+                    hn::Max(children.enter[p], hn::MulAdd(load(offsets_.enter[a], p), in, base));
+        }
+        for (size_t a = 0; a < 3; ++a) {
+            const auto out = hn::Set(d, node.scale[a] * ray_.far_rcp[a]),
+                       base = hn::Set(d, (node.origin[a] - ray_.far_origin[a]) * ray_.far_rcp[a]);
+            for (size_t p = 0; p < Met::parts; ++p)
+                leave[p] = hn::Min(leave[p], hn::MulAdd(load(offsets_.leave[a], p), out, base));
+        }
+        for (size_t p = 0; p < Met::parts; ++p) {
+            const size_t first = p * Met::lanes;
+            const auto used = hn::FirstN(d, node.children > first ? node.children - first : 0);
+            children.met[p] = hn::And(hn::Le(children.enter[p], leave[p]), used);
+        }
+        return children;
     }
 
   private:

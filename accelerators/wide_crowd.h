@@ -140,21 +140,20 @@ class CrowdTraversal {
     HWY_INLINE void go_down(Slot& slot) {
         const Node& node = node_at(nodes_, slot.current);
         const float t_cull = slot.query->t_cull;
-        ChildLanes<Node> t[W / N];
         const hn::RebindToSigned<NodeLanes<Node>> di;
         const auto none = hn::Set(di, std::numeric_limits<int32_t>::max());
         auto nearest = none;
-        uint32_t hits = 0;
+        const ChildrenMet<Node> children = slot.boxes()(node, slot.t_low, t_cull);
+        const uint32_t hits = children.bits();
         for (uint32_t p = 0; p < W / N; ++p) {
-            const auto mask = slot.boxes().lanes(node, p * N, slot.t_low, t_cull, t[p]);
-            hits |= mask_bits(d, mask) << p * N;
             // As integers distances are in their order (below zero not the best one), and the last
             // bits, which do not matter for it, say whose they are.
             if constexpr (Q == Query::closest) {
-                const auto key =
-                    hn::Or(hn::AndNot(hn::Set(di, int32_t(W) - 1), hn::BitCast(di, t[p])),
-                           hn::Iota(di, int32_t(p * N)));
-                nearest = hn::Min(nearest, hn::IfThenElse(hn::RebindMask(di, mask), key, none));
+                const auto key = hn::Or(
+                    hn::AndNot(hn::Set(di, int32_t(W) - 1), hn::BitCast(di, children.enter[p])),
+                    hn::Iota(di, int32_t(p * N)));
+                nearest = hn::Min(nearest,
+                                  hn::IfThenElse(hn::RebindMask(di, children.met[p]), key, none));
             }
         }
         const uint32_t first = Q == Query::closest
@@ -166,7 +165,7 @@ class CrowdTraversal {
         for (uint32_t p = 0; p < W / N; ++p) {
             const uint32_t part = rest >> p * N & ((1u << N) - 1);
             const PackedLanes<NodeLanes<Node>> pack(part);
-            hn::StoreU(pack(t[p]), d, slot.t + top);
+            hn::StoreU(pack(children.enter[p]), d, slot.t + top);
             hn::StoreU(pack(hn::LoadU(D32(), node.child + p * N)), D32(), slot.child + top);
             top += uint32_t(hwy::PopCount(part));
         }

@@ -82,17 +82,15 @@ template <class Node, class Leaves>
 HWY_INLINE void prefetch_child(const Node* nodes, const Leaves& leaves, uint32_t child) {
     // All in one function: GCC takes one that does no more than prefetch for one without effects,
     // and drops calls of it.
-    const char* begin = reinterpret_cast<const char*>(&node_at(nodes, child));
-    size_t bytes = sizeof(Node);
-    if (WideChild::is_leaf(child)) {
-        if constexpr (std::is_same_v<Leaves, TrianglePatches>) {
-            begin = reinterpret_cast<const char*>(leaves.patches() + WideChild::first(child));
-            bytes = sizeof(TrianglePatch);
-        } else {
-            return;
-        }
+    // Of known lengths, both loops are unrolled.
+    if (!WideChild::is_leaf(child)) {
+        const auto* const begin = reinterpret_cast<const char*>(&node_at(nodes, child));
+        for (size_t i = 0; i < sizeof(Node); i += 64) hwy::Prefetch(begin + i);
+    } else if constexpr (std::is_same_v<Leaves, TrianglePatches>) {
+        const auto* const begin =
+            reinterpret_cast<const char*>(leaves.patches() + WideChild::first(child));
+        for (size_t i = 0; i < sizeof(TrianglePatch); i += 64) hwy::Prefetch(begin + i);
     }
-    for (size_t i = 0; i < bytes; i += 64) hwy::Prefetch(begin + i);
 }
 
 /// Box of child i as traversal sees it; empty if there is none.
@@ -129,15 +127,16 @@ class WideNodes {
     int width() const { return width_; }
     size_t bytes() const { return memory_.size(); }
 
-    /// f(const Node*), the type telling form and width.
+    /// f(const Node*), the type telling form and width. For kernels: visit_nodes.
     template <class F>
     decltype(auto) visit(const F& f) const {
-        return format_ == WideFormat::full ? visit_full(f) : visit_width<QuantisedNode>(f);
+        return format_ == WideFormat::full ? visit_width<WideNode>(f)
+                                           : visit_width<QuantisedNode>(f);
     }
-    /// The same, of nodes that are known to be full.
-    template <class F>
-    decltype(auto) visit_full(const F& f) const {
-        return visit_width<WideNode>(f);
+    /// The root; null if there is none.
+    template <class Node>
+    const Node* first() const {
+        return reinterpret_cast<const Node*>(memory_.data());
     }
     /// @return  `count` nodes to be written
     template <class Node>
@@ -162,11 +161,6 @@ class WideNodes {
                 return f(first<Node<8>>());
         }
     }
-    template <class Node>
-    const Node* first() const {
-        return reinterpret_cast<const Node*>(memory_.data());
-    }
-
     WideFormat format_ = WideFormat::full;
     int width_ = 8;
     RawAlignedVector<std::byte> memory_;

@@ -68,6 +68,8 @@ HWY_INLINE LocalRay beam_of(const RayPacket& packet) {
         beam.far_origin[a] = down ? largest(packet.far_origin[a]) : least(packet.far_origin[a]);
         beam.rcp[a] = down ? high : low;
         beam.far_rcp[a] = (down ? low : high) * (1 + box_slack);
+        beam.near_base[a] = beam.near_origin[a] * beam.rcp[a];
+        beam.far_base[a] = beam.far_origin[a] * beam.far_rcp[a];
     }
     return beam;
 }

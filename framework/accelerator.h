@@ -11,6 +11,7 @@
 #include "framework/parts.h"
 #include "framework/primitive.h"
 #include "framework/ray_packet.h"
+#include "framework/ray_setup.h"
 #include "framework/registry.h"
 #include "framework/simd.h"
 
@@ -42,6 +43,23 @@ class AcceleratedObject final : public Primitive {
             set_ = std::move(set);
         else
             set_ = std::make_shared<const Set>(set->ids_only());
+    }
+    Hit closest(const Ray& ray, Mode mode) const override {
+        RayQuery query;
+        LocalRay local;
+        float scale;
+        if (!ray_setup::prepare(ray, magnitude(), query, local, scale)) return {};
+        query.mode = mode;
+        AcceleratedObject::closest_local(local, query);
+        return query.hit(scale);
+    }
+    bool any(const Ray& ray, Mode mode) const override {
+        RayQuery query;
+        LocalRay local;
+        float scale;
+        if (!ray_setup::prepare(ray, magnitude(), query, local, scale)) return false;
+        query.mode = mode;
+        return AcceleratedObject::any_local(local, query);
     }
     void closest_local(const LocalRay& ray, RayQuery& query) const override {
         NoCounters none;

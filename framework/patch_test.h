@@ -64,6 +64,14 @@ struct ShearedPatch {
     }
 };
 
+template <bool Framed, class Patch>
+HWY_NOINLINE SolvedLane refine_triangle_of(const Patch& patch, uint32_t triangle, const RayQuery& q,
+                                           const InstanceFrame* frame) {
+    const Vec3f corner[3] = {patch.vertex(triangle, 0), patch.vertex(triangle, 1),
+                             patch.vertex(triangle, 2)};
+    return refine_corners<Framed>(corner, q, frame);
+}
+
 /// N triangles of a patch (a TrianglePatch or a FetchedPatch), for test_corners.
 template <bool Framed, class Patch>
 struct PatchLanes {
@@ -73,20 +81,14 @@ struct PatchLanes {
     size_t lane;
     const InstanceFrame* frame;
 
-    HWY_INLINE hn::Vec<D> world(int k, int axis) const {
-        PatchTable table;
-        for (size_t p = 0; p < PatchTable::parts; ++p)
-            table.part[p] = world_coordinate<Framed>(D(), patch.v, p * PatchTable::N, axis, frame);
-        return table.lookup(patch.corner[k] + lane);
+    HWY_INLINE float world(uint32_t i, int k, int axis) const {
+        return world_coordinate<Framed>(patch.v, patch.corner[k][lane + i], axis, frame);
     }
-    template <class M>
-    HWY_INLINE M used(M mask) const {
-        return hn::And(mask, hn::FirstN(D(), patch.count - lane));
+    HWY_INLINE uint32_t used(uint32_t lanes) const {
+        return lanes & ((1u << (patch.count - uint32_t(lane))) - 1);
     }
-    HWY_NOINLINE bool refine(uint32_t i, const RayQuery& q, float& t, float& u, float& v) const {
-        const uint32_t k = uint32_t(lane) + i;
-        const Vec3f corner[3] = {patch.vertex(k, 0), patch.vertex(k, 1), patch.vertex(k, 2)};
-        return refine_corners<Framed>(corner, q, frame, t, u, v);
+    HWY_INLINE SolvedLane refine(uint32_t i, const RayQuery& q) const {
+        return refine_triangle_of<Framed>(patch, uint32_t(lane) + i, q, frame);
     }
     HWY_INLINE uint32_t id(uint32_t i) const { return patch.id(uint32_t(lane) + i, ids); }
 };

@@ -150,6 +150,15 @@ void Primitive::stream(std::span<const Ray> rays, Mode mode, const One& one,
 
 Hit Primitive::intersect(const Ray& ray, Mode mode) const {
     if (HWY_UNLIKELY(mode == Mode::exact)) return closest_exactly(ray, nullptr);
+    return closest(ray, mode);
+}
+
+bool Primitive::occluded(const Ray& ray, Mode mode) const {
+    if (HWY_UNLIKELY(mode == Mode::exact)) return any_exactly(ray, nullptr);
+    return any(ray, mode);
+}
+
+Hit Primitive::closest(const Ray& ray, Mode mode) const {
     RayQuery query;
     LocalRay local;
     float scale;
@@ -159,8 +168,7 @@ Hit Primitive::intersect(const Ray& ray, Mode mode) const {
     return query.hit(scale);
 }
 
-bool Primitive::occluded(const Ray& ray, Mode mode) const {
-    if (HWY_UNLIKELY(mode == Mode::exact)) return any_exactly(ray, nullptr);
+bool Primitive::any(const Ray& ray, Mode mode) const {
     RayQuery query;
     LocalRay local;
     float scale;

@@ -99,6 +99,10 @@ class Primitive {
 
     /// @name The seam, for accelerators and instances
     /// @{
+    /// `intersect` and `occluded`, in any mode but `exact`: the ray is prepared, and traced. An
+    /// accelerator has both steps compiled for one instruction set.
+    virtual Hit closest(const Ray& ray, Mode mode) const;
+    virtual bool any(const Ray& ray, Mode mode) const;
     virtual void closest_local(const LocalRay& ray, RayQuery& query) const = 0;
     virtual bool any_local(const LocalRay& ray, RayQuery& query) const = 0;
     virtual void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
@@ -155,6 +159,7 @@ class Primitive {
     /// Largest absolute coordinates of the shapes inside; more than those of the bounds where this
     /// is a part whose shapes stick out of it.
     const Vec3f& magnitudes() const { return magnitudes_; }
+    float magnitude() const { return magnitude_; }  ///< the largest
 
   protected:
     void set_bounds(const Bounds3& bounds) {
@@ -178,7 +183,7 @@ class Primitive {
 
     Bounds3 bounds_;
     Vec3f magnitudes_ = Vec3f::Zero();
-    float magnitude_ = 0;  ///< the largest
+    float magnitude_ = 0;
 
     /// Whether the whole, all inside included, has RayOrder::large_structure bytes; found when
     /// first asked.

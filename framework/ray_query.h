@@ -74,6 +74,8 @@ struct LocalRay {
     float rcp[4];  ///< finite: 1/d, or ±2^60/max|d| where |d| is below that. Its product with an
                    ///< origin is finite too
     float far_rcp[4];            ///< rcp·(1 + box_slack)
+    float near_base[4];          ///< near_origin·rcp
+    float far_base[4];           ///< far_origin·far_rcp
     float pad[4];                ///< half-width of the thick ray that a structure must follow, >= 0
     const InstanceFrame* frame;  ///< null: this is world space (in Mode::exact the identity)
 };

@@ -58,6 +58,16 @@ HWY_INLINE hn::Vec<D> world_coordinate(D d, const float (&v)[3][S], size_t lane,
     }
 }
 
+/// The same of one point.
+template <bool Framed, int S>
+HWY_INLINE float world_coordinate(const float (&v)[3][S], size_t i, int axis,
+                                  const InstanceFrame* frame) {
+    if constexpr (!Framed)
+        return v[axis][i];
+    else
+        return apply(frame->world_from_object_f, {v[0][i], v[1][i], v[2][i]})[axis];
+}
+
 template <bool Framed, int W, class D>
 HWY_INLINE ShearedCorners<D> shear(D d, const TriangleBlock<W>& block, size_t lane,
                                    const RayQuery& q, const InstanceFrame* frame) {
@@ -75,27 +85,35 @@ HWY_INLINE ShearedCorners<D> shear(D d, const TriangleBlock<W>& block, size_t la
     return c;
 }
 
+/// Where one triangle is hit.
+struct SolvedLane {
+    float t, u, v;
+    bool known;  ///< else the others mean nothing
+};
+
 /// One lane again, in double: see refine_triangle, and Mode::double_precision.
 /// @param corner  of a triangle, in object space
+/// @return        not known: no hit
 template <bool Framed>
-HWY_NOINLINE bool refine_corners(const Vec3f (&corner)[3], const RayQuery& q,
-                                 const InstanceFrame* frame, float& t, float& u, float& v) {
+HWY_NOINLINE SolvedLane refine_corners(const Vec3f (&corner)[3], const RayQuery& q,
+                                       const InstanceFrame* frame) {
     float corners[3][3];
     for (int k = 0; k < 3; ++k) {
         Vec3f p = corner[k];
         if constexpr (Framed) p = apply(frame->world_from_object_f, p);
         for (int a = 0; a < 3; ++a) corners[k][a] = p[a];
     }
-    if (!refine_triangle(corners, q, t, u, v)) return false;
-    if (q.mode == Mode::double_precision) t = exact::refined_t(corners, q, t);
-    return true;
+    SolvedLane at{};
+    at.known = refine_triangle(corners, q, at.t, at.u, at.v);
+    if (at.known && q.mode == Mode::double_precision) at.t = exact::refined_t(corners, q, at.t);
+    return at;
 }
 
 template <bool Framed, int W>
-HWY_NOINLINE bool refine_lane(const TriangleBlock<W>& block, size_t lane, const RayQuery& q,
-                              const InstanceFrame* frame, float& t, float& u, float& v) {
+HWY_NOINLINE SolvedLane refine_lane(const TriangleBlock<W>& block, size_t lane, const RayQuery& q,
+                                    const InstanceFrame* frame) {
     const Vec3f corner[3] = {block.corner(lane, 0), block.corner(lane, 1), block.corner(lane, 2)};
-    return refine_corners<Framed>(corner, q, frame, t, u, v);
+    return refine_corners<Framed>(corner, q, frame);
 }
 
 /// Mode::exact: every triangle of the block by the oracle's filter, and where that is unsure, by
@@ -115,20 +133,15 @@ HWY_NOINLINE bool test_block_exactly(const TriangleBlock<W>& block, const LocalR
     return false;
 }
 
-/// Hits of N triangles.
-template <size_t N>
-struct LaneHits {
-    alignas(64) float t[N], u[N], v[N];
-    uint32_t open;   ///< lanes that may be hit
-    uint32_t plain;  ///< of these, lanes whose t, u and v are known; others need refine_triangle
-};
-
 /// @return bit i: lane i
 template <class D, class M>
 HWY_INLINE uint32_t mask_bits(D d, M mask) {
-    uint8_t bytes[8] = {};
+    uint8_t bytes[8];
     hn::StoreMaskBits(d, mask, bytes);
-    uint32_t bits;
+    // No more than was written, which the compiler then keeps in a register.
+    if constexpr (hn::MaxLanes(D()) <= 8) return bytes[0];
+    uint16_t bits;
+    static_assert(hn::MaxLanes(D()) <= 16);
     std::memcpy(&bits, bytes, sizeof bits);
     return bits;
 }
@@ -141,9 +154,10 @@ HWY_INLINE hn::Mask<D> bits_mask(D d, uint32_t bits) {
 }
 
 /// Mode::fast: t, u, v from the float edge functions, unless these overflow.
-template <class D>
-HWY_INLINE void solve_in_float(D d, const hn::Vec<D> (&edge)[3], const hn::Vec<D> (&z)[3],
-                               const RayQuery& q, LaneHits<hn::MaxLanes(D())>& hits) {
+/// @param open  lanes that may be hit
+template <Query Q, class D, class Source>
+HWY_INLINE bool record_fast(D d, const hn::Vec<D> (&edge)[3], const hn::Vec<D> (&z)[3],
+                            uint32_t open, const Source& source, RayQuery& q, const IdTable& ids) {
     const auto det = hn::Add(hn::Add(edge[0], edge[1]), edge[2]);
     const auto per_det = hn::Div(hn::Set(d, 1.0f), det);
     const auto u = hn::Mul(edge[1], per_det), v = hn::Mul(edge[2], per_det);
@@ -153,23 +167,22 @@ HWY_INLINE void solve_in_float(D d, const hn::Vec<D> (&edge)[3], const hn::Vec<D
     // Written so that NaN (an area of zero) is no area.
     const auto has_area = hn::Gt(hn::Abs(det), hn::Set(d, 0x1p-100f));
     const auto within = hn::And(hn::Ge(t, hn::Set(d, q.t_min)), hn::Le(t, hn::Set(d, q.t_best)));
-    hits.open &= mask_bits(d, hn::And(has_area, within));
+    open &= mask_bits(d, hn::And(has_area, within));
     // Weights of an area that overflowed are zero or NaN.
-    hits.plain = hits.open & mask_bits(d, hn::Gt(hn::Add(u, v), hn::Zero(d)));
-    hn::Store(t, d, hits.t);
-    hn::Store(u, d, hits.u);
-    hn::Store(v, d, hits.v);
-}
-
-/// Part p of N floats as doubles.
-template <class DD, class D>
-HWY_INLINE hn::Vec<DD> promote(DD dd, D, hn::Vec<D> v, [[maybe_unused]] size_t p) {
-    if constexpr (hn::MaxLanes(DD()) == hn::MaxLanes(D())) {
-        return hn::PromoteTo(dd, v);
-    } else {
-        const hn::Half<D> half;
-        return hn::PromoteTo(dd, p ? hn::UpperHalf(half, v) : hn::LowerHalf(half, v));
+    const uint32_t known = mask_bits(d, hn::Gt(hn::Add(u, v), hn::Zero(d)));
+    alignas(64) float at[3][hn::MaxLanes(D())];
+    hn::Store(t, d, at[0]);
+    hn::Store(u, d, at[1]);
+    hn::Store(v, d, at[2]);
+    for (; open; open &= open - 1) {
+        const uint32_t i = lowest(open);
+        SolvedLane hit{at[0][i], at[1][i], at[2][i], bool(known >> i & 1)};
+        if (HWY_UNLIKELY(!hit.known)) hit = source.refine(i, q);
+        if (!hit.known || !(hit.t >= q.t_min && hit.t <= q.t_best)) continue;
+        if constexpr (Q == Query::any) return true;
+        q.record(hit.t, hit.u, hit.v, ids, source.id(i));
     }
+    return false;
 }
 
 /// A triangle and a ray in every lane, in double.
@@ -230,42 +243,24 @@ HWY_INLINE DoubleHits<DD> solve_lanes(DD dd, const V (&corner)[3][3], const V (&
             hn::DemoteTo(df, hn::Mul(c, per_det))};
 }
 
-/// One ray's t, u, v of the lanes of `plain`: see solve_lanes. What is not known leaves `plain`;
-/// lanes of `plain` whose t is not in the interval leave `open`.
-template <Query Q, class D, class Source>
-HWY_INLINE void solve_in_double(D d, const Source& source, const RayQuery& q,
-                                LaneHits<hn::MaxLanes(D())>& hits) {
-    constexpr size_t N = hn::MaxLanes(D());
-    const hn::CappedTag<double, (N < 4 ? N : 4)> dd;  // most often one of eight is hit
-    constexpr size_t n = hn::MaxLanes(dd);
+/// One triangle's t, u, v: see solve_lanes.
+template <class Source>
+HWY_INLINE SolvedLane solve_lane(const Source& source, uint32_t lane, const RayQuery& q) {
+    const hn::CappedTag<double, 1> dd;
     const hn::Rebind<float, decltype(dd)> df;
     using V = hn::Vec<decltype(dd)>;
-    const auto set = [&](float x) HWY_ATTR { return hn::Set(dd, double(x)); };
-    const V o[3] = {set(q.origin[q.kx]), set(q.origin[q.ky]), set(q.origin[q.kz])};
-    const V dir[3] = {set(q.direction[q.kx]), set(q.direction[q.ky]), set(q.direction[q.kz])};
-    hn::Vec<D> corner[3][3];
-    for (int k = 0; k < 3; ++k) {
-        corner[k][0] = source.world(k, q.kx);
-        corner[k][1] = source.world(k, q.ky);
-        corner[k][2] = source.world(k, q.kz);
+    const auto promote = [&](const float& x)
+                             HWY_ATTR { return hn::PromoteTo(dd, hn::LoadU(df, &x)); };
+    V corner[3][3], o[3], dir[3];
+    const int axes[3] = {q.kx, q.ky, q.kz};
+    for (int a = 0; a < 3; ++a) {
+        o[a] = promote(q.origin[axes[a]]);
+        dir[a] = promote(q.direction[axes[a]]);
+        for (int k = 0; k < 3; ++k) corner[k][a] = promote(source.world(lane, k, axes[a]));
     }
-    for (size_t p = 0; p < N / n; ++p) {
-        const uint32_t lanes = ((1u << n) - 1) << p * n;
-        if (N != n && !(hits.plain & lanes)) continue;
-        V part[3][3];
-        for (int k = 0; k < 3; ++k)
-            for (int a = 0; a < 3; ++a) part[k][a] = promote(dd, d, corner[k][a], p);
-        const auto found = solve_lanes(dd, part, o, dir, q.mode == Mode::double_precision);
-        const auto within =
-            hn::And(hn::Ge(found.t, hn::Set(df, q.t_min)), hn::Le(found.t, hn::Set(df, q.t_best)));
-        hits.plain &= ~(lanes & ~(mask_bits(dd, found.known) << p * n));
-        hits.open &= ~(lanes & hits.plain & ~(mask_bits(df, within) << p * n));
-        hn::Store(found.t, df, hits.t + p * n);
-        if constexpr (Q == Query::closest) {
-            hn::Store(found.u, df, hits.u + p * n);
-            hn::Store(found.v, df, hits.v + p * n);
-        }
-    }
+    const auto found = solve_lanes(dd, corner, o, dir, q.mode == Mode::double_precision);
+    return {hn::GetLane(found.t), hn::GetLane(found.u), hn::GetLane(found.v),
+            !hn::AllFalse(dd, found.known)};
 }
 
 /// Where a ray that passes through the inside of a triangle hits it in [t_min, t_max] for certain:
@@ -278,6 +273,42 @@ HWY_INLINE hn::Mask<D> surely_within(D d, V near, V far, V t_min, V t_max) {
                    hn::Le(hn::MulAdd(hn::Abs(far), slack, far), t_max));
 }
 
+/// Which of N triangles are hit in [t_min, t_max], as far as float can tell.
+template <class D>
+struct FloatVerdict {
+    hn::Mask<D> hit, missed;  ///< for certain; the rest has to be solved in double
+};
+
+/// As t is a mean of three depths whose weights are the edge functions, its side of an end tau is
+/// the sign of sum(edge·(z - tau))·det. With u = 2^-24, and reach and distance as for solve_lanes,
+/// an edge function errs by 44u·reach·distance: where all are twice as large and more, double has
+/// the same signs, and solves there. The sum errs by three times that and the spread of depths
+/// (tau outside of these is on the side that the sum says in any case), and by 13u·|det·z|: errors
+/// of depths, of sums and products, and of t as a float.
+/// @param low, high  least and largest of `edge`; near, far: of z
+template <class D, class V>
+HWY_INLINE FloatVerdict<D> judge(D d, const V (&x)[3], const V (&y)[3], const V (&edge)[3],
+                                 const V (&z)[3], V low, V high, V near, V far, V t_min, V t_max) {
+    const auto larger = [](V a, V b) HWY_ATTR { return hn::Max(hn::Abs(a), hn::Abs(b)); };
+    const V reach = hn::Max(hn::Max(larger(x[0], y[0]), larger(x[1], y[1])), larger(x[2], y[2]));
+    const V depth = larger(near, far);
+    const V area = hn::Mul(reach, hn::MulAdd(depth, hn::Set(d, 2.0f), reach));
+    const V edge_error = hn::Max(hn::Mul(area, hn::Set(d, 0x1p-17f)), hn::Set(d, 0x1p-100f));
+    const auto inside = hn::Or(hn::Gt(low, edge_error), hn::Lt(high, hn::Neg(edge_error)));
+
+    const V det = hn::Add(hn::Add(edge[0], edge[1]), edge[2]);
+    const V spread = hn::MulAdd(depth, hn::Set(d, 0x1p-13f), hn::Sub(far, near));
+    const V error = hn::MulAdd(
+        hn::Mul(area, hn::Set(d, 0x1p-16f)), spread,
+        hn::MulAdd(hn::Mul(hn::Abs(det), hn::Set(d, 0x1p-19f)), depth, hn::Set(d, 0x1p-120f)));
+    const V sum = hn::MulAdd(edge[0], z[0], hn::MulAdd(edge[1], z[1], hn::Mul(edge[2], z[2])));
+    const V sign = hn::And(det, hn::SignBit(d));
+    const V from_min = hn::Xor(hn::NegMulAdd(t_min, det, sum), sign),
+            to_max = hn::Xor(hn::MulSub(t_max, det, sum), sign);
+    const V least = hn::Min(from_min, to_max);
+    return {hn::And(inside, hn::Gt(least, error)), hn::And(inside, hn::Lt(least, hn::Neg(error)))};
+}
+
 /// Tests N triangles by their sheared corners (Woop, Benthin, Wald 2013).
 ///
 /// An edge function is the difference of two rounded products of rounded, shared coordinates.
@@ -286,11 +317,10 @@ HWY_INLINE hn::Mask<D> surely_within(D d, V near, V far, V t_min, V t_max) {
 /// remains (one lane in most leaves that come this far) is solved in double: that costs less than
 /// to find out whether float would do.
 ///
-/// @param depth   of corner k, its third sheared coordinate. Not part of `source`, which is handed
-///                on: what it refers to has to be in memory
-/// @param source  world(k, axis): a coordinate of corner k in world space; used(mask): the lanes
-///                that hold a triangle, of those in mask; refine(i, q, t, u, v): see
-///                refine_triangle; id(i)
+/// @param depth   of corner k, its third sheared coordinate
+/// @param source  of lane i, world(i, k, axis): a coordinate of corner k in world space; refine(i,
+///                q): see refine_triangle; id(i). And used(lanes): those that hold a triangle, of
+///                the bits in `lanes`
 template <Query Q, class D, class Depth, class Source>
 HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y)[3],
                              const Depth& depth, const Source& source, RayQuery& q,
@@ -302,36 +332,37 @@ HWY_INLINE bool test_corners(D d, const hn::Vec<D> (&x)[3], const hn::Vec<D> (&y
     const auto low = hn::Min(hn::Min(edge[0], edge[1]), edge[2]),
                high = hn::Max(hn::Max(edge[0], edge[1]), edge[2]);
     // Both comparisons are false for a lane of NaN.
-    auto hit = source.used(hn::Or(hn::Ge(low, zero), hn::Le(high, zero)));
-    if (HWY_LIKELY(hn::AllFalse(d, hit))) return false;
+    uint32_t open = source.used(mask_bits(d, hn::Or(hn::Ge(low, zero), hn::Le(high, zero))));
+    if (HWY_LIKELY(!open)) return false;
 
     const auto sz = hn::Set(d, q.shear_z);
     const hn::Vec<D> z[3] = {hn::Mul(depth(0), sz), hn::Mul(depth(1), sz), hn::Mul(depth(2), sz)};
     const auto near = hn::Min(hn::Min(z[0], z[1]), z[2]), far = hn::Max(hn::Max(z[0], z[1]), z[2]);
-    hit =
-        hn::And(hit, hn::And(hn::Le(near, hn::Set(d, q.t_cull)), hn::Ge(far, hn::Set(d, q.t_low))));
-    if (hn::AllFalse(d, hit)) return false;
+    open &=
+        mask_bits(d, hn::And(hn::Le(near, hn::Set(d, q.t_cull)), hn::Ge(far, hn::Set(d, q.t_low))));
+    if (!open) return false;
+    if (HWY_UNLIKELY(q.mode == Mode::fast)) return record_fast<Q>(d, edge, z, open, source, q, ids);
 
     const auto inside = hn::And(hn::Ne(low, zero), hn::Ne(high, zero));
-    if (Q == Query::any && HWY_LIKELY(q.mode != Mode::fast)) {
+    if constexpr (Q == Query::any) {
         const auto within = surely_within(d, near, far, hn::Set(d, q.t_min), hn::Set(d, q.t_best));
-        if (!hn::AllFalse(d, hn::And(hit, hn::And(inside, within)))) return true;
+        if (open & mask_bits(d, hn::And(inside, within))) return true;
+        // Shadow rays begin on a surface, and are near its triangles: most of these end here.
+        // Closest hits are mostly found where they are looked for, and that is not worth it.
+        const auto verdict = judge(d, x, y, edge, z, low, high, near, far, hn::Set(d, q.t_min),
+                                   hn::Set(d, q.t_best));
+        if (open & mask_bits(d, verdict.hit)) return true;
+        open &= ~mask_bits(d, verdict.missed);
     }
-    LaneHits<hn::MaxLanes(D())> hits;
-    hits.open = mask_bits(d, hit);
-    if (HWY_UNLIKELY(q.mode == Mode::fast)) {
-        solve_in_float(d, edge, z, q, hits);
-    } else {
-        hits.plain = hits.open & mask_bits(d, inside);
-        if (HWY_LIKELY(hits.plain)) solve_in_double<Q>(d, source, q, hits);
-    }
-    for (uint32_t open = hits.open; open; open &= open - 1) {
+    const uint32_t plain = mask_bits(d, inside);
+    for (; open; open &= open - 1) {
         const uint32_t i = lowest(open);
-        float &t = hits.t[i], &u = hits.u[i], &v = hits.v[i];
-        if (HWY_UNLIKELY(!(hits.plain >> i & 1)) && !source.refine(i, q, t, u, v)) continue;
-        if (!(t >= q.t_min && t <= q.t_best)) continue;
+        SolvedLane at;
+        if (HWY_LIKELY(plain >> i & 1)) at = solve_lane(source, i, q);
+        if (HWY_UNLIKELY(!(plain >> i & 1) || !at.known)) at = source.refine(i, q);
+        if (!at.known || !(at.t >= q.t_min && at.t <= q.t_best)) continue;
         if constexpr (Q == Query::any) return true;
-        q.record(t, u, v, ids, source.id(i));
+        q.record(at.t, at.u, at.v, ids, source.id(i));
     }
     return false;
 }
@@ -343,15 +374,12 @@ struct BlockLanes {
     size_t lane;
     const InstanceFrame* frame;
 
-    HWY_INLINE hn::Vec<D> world(int k, int axis) const {
-        return world_coordinate<Framed>(D(), block.v[k], lane, axis, frame);
+    HWY_INLINE float world(uint32_t i, int k, int axis) const {
+        return world_coordinate<Framed>(block.v[k], lane + i, axis, frame);
     }
-    template <class M>
-    HWY_INLINE M used(M mask) const {
-        return mask;
-    }
-    HWY_INLINE bool refine(uint32_t i, const RayQuery& q, float& t, float& u, float& v) const {
-        return refine_lane<Framed>(block, lane + i, q, frame, t, u, v);
+    HWY_INLINE uint32_t used(uint32_t lanes) const { return lanes; }
+    HWY_INLINE SolvedLane refine(uint32_t i, const RayQuery& q) const {
+        return refine_lane<Framed>(block, lane + i, q, frame);
     }
     HWY_INLINE uint32_t id(uint32_t i) const { return block.id[lane + i]; }
 };
