@@ -265,6 +265,64 @@ TEST_CASE("modes: fast is right outside its margin") {
     }
 }
 
+TEST_CASE(
+    "modes: an interval holds the hit that it ends at, and not the one a float beyond its end") {
+    // Occlusion is answered in float where that is certain: of slivers, of triangles seen from the
+    // side or from within their plane, and of large ones close by, it must not be too sure.
+    test::Random random(11);
+    size_t hits = 0, wrong = 0;
+    const auto look = [&](const Primitive& object, Ray ray, float t_min, float t_max, bool hit,
+                          Mode mode) {
+        ray.t_min = t_min, ray.t_max = t_max;
+        wrong += object.occluded(ray, mode) != hit || object.intersect(ray, mode).is_hit() != hit;
+    };
+    const auto power = [&](int least, int most) {
+        return std::exp2(random.uniform(float(least), float(most)));
+    };
+    for (int i = 0; i < 2000; ++i) {
+        const float size = power(-20, 20);
+        const Vec3f a = random.point(size * power(-3, 6));
+        const Vec3f along = random.direction() * size;
+        const Vec3f across = random.direction() * size * power(-16, 1);
+        auto set =
+            std::make_shared<const TriangleSet>(std::vector<Vec3f>{a, a + along, a + across},
+                                                std::vector<TriangleSet::Indices>{{0, 1, 2}});
+        for (const char* name : {"bvh", "wide_bvh"}) {
+            const auto object = accelerator(name).build(set, {});
+            for (int k = 0; k < 8; ++k) {
+                float u = random.uniform(), v = random.uniform();
+                if (u + v > 1) u = 1 - u, v = 1 - v;
+                // From any side, or nearly along the triangle; from afar, or from its surface.
+                Ray ray;
+                ray.direction = (k % 2 ? random.direction()
+                                       : Vec3f(along * random.uniform(-1, 1) / size +
+                                               random.direction() * power(-12, 0))) *
+                                power(-8, 8);
+                ray.origin = a + u * along + v * across - ray.direction * size * power(-20, 3);
+                ray.t_min = -INFINITY;
+                const Hit hit = object->intersect(ray);
+                if (!hit.is_hit()) continue;
+                ++hits;
+                for (const Mode mode : {Mode::robust, Mode::double_precision}) {
+                    const float t = object->intersect(ray, mode).t;
+                    const float before = std::nextafter(t, -INFINITY),
+                                after = std::nextafter(t, INFINITY);
+                    look(*object, ray, -INFINITY, t, true, mode);
+                    look(*object, ray, -INFINITY, before, false, mode);
+                    look(*object, ray, t, INFINITY, true, mode);
+                    look(*object, ray, after, INFINITY, false, mode);
+                    look(*object, ray, t, t, true, mode);
+                    const float far = std::abs(t) * power(-22, -6);
+                    look(*object, ray, t - far, t + far, true, mode);
+                    look(*object, ray, after + far, t + 2 * far + size, false, mode);
+                }
+            }
+        }
+    }
+    CHECK(wrong == 0);
+    CHECK(hits > 20000);
+}
+
 TEST_CASE("modes: so far away that the product of origin and 1/d would not be a float") {
     // Sheets across the x axis, 1e22 away from it, met by rays along it.
     std::vector<Vec3f> corners;
