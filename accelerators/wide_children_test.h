@@ -6,7 +6,7 @@
 #define CROFTON_ACCELERATORS_WIDE_CHILDREN_TEST_H_
 #endif
 
-#include <cstring>
+#include <array>
 
 #include "accelerators/wide_nodes.h"
 #include "framework/simd.h"
@@ -69,19 +69,36 @@ HWY_INLINE uint32_t test_children(const Test& test, const Node& node, float t_lo
 }
 
 /// Which planes a ray meets first is an offset into the node.
-/// @param size  bytes of the planes of an axis
 struct PlaneOffsets {
     size_t enter[3], leave[3];
-    HWY_INLINE PlaneOffsets(const LocalRay& ray, size_t begin, size_t size) {
-        for (size_t a = 0; a < 3; ++a) {
-            int32_t bits;
-            std::memcpy(&bits, &ray.rcp[a], sizeof bits);
-            const size_t upper = size_t(bits >> 31) & 3 * size;
-            enter[a] = begin + a * size + upper;
-            leave[a] = begin + (a + 3) * size - upper;
-        }
-    }
 };
+/// @param begin   of the planes in a node
+/// @param size    bytes of the planes of an axis
+/// @param octant  bit a: the ray goes down axis a
+constexpr PlaneOffsets plane_offsets(size_t begin, size_t size, size_t octant) {
+    PlaneOffsets offsets{};
+    for (size_t a = 0; a < 3; ++a) {
+        const size_t upper = octant >> a & 1 ? 3 * size : 0;
+        offsets.enter[a] = begin + a * size + upper;
+        offsets.leave[a] = begin + (a + 3) * size - upper;
+    }
+    return offsets;
+}
+template <class Node>
+inline constexpr std::array<PlaneOffsets, 8> plane_offsets_of = [] {
+    std::array<PlaneOffsets, 8> of{};
+    for (size_t octant = 0; octant < 8; ++octant)
+        of[octant] = plane_offsets(offsetof(Node, planes), sizeof(Node::planes) / 6, octant);
+    return of;
+}();
+template <class Node>
+HWY_INLINE const PlaneOffsets& plane_offsets_for(const LocalRay& ray) {
+    const hn::FixedTag<float, 4> d;
+    const hn::RebindToSigned<decltype(d)> di;
+    const auto down =
+        hn::RebindMask(d, hn::Lt(hn::BitCast(di, hn::LoadU(d, ray.rcp)), hn::Zero(di)));
+    return plane_offsets_of<Node>[mask_bits(d, down) & 7];
+}
 
 /// Tests all children of a node, by one fused operation a plane: see LocalRay for its error. The
 /// ray's numbers come from memory each time, one load for all lanes: leaf tests would have emptied
@@ -96,7 +113,7 @@ class ChildrenTest<WideNode<W>> {
 
   public:
     explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
-        : ray_(ray), offsets_(ray, offsetof(Node, planes), W * sizeof(float)) {}
+        : ray_(ray), offsets_(plane_offsets_for<Node>(ray)) {}
 
     /// Which children may be hit within [t_low, t_cull].
     HWY_INLINE Met operator()(const Node& node, float t_low, float t_cull) const {
@@ -129,7 +146,7 @@ class ChildrenTest<WideNode<W>> {
 
   private:
     const LocalRay& ray_;
-    PlaneOffsets offsets_;
+    const PlaneOffsets& offsets_;
 };
 
 /// One multiplication and addition a plane: the node's grid is moved to the ray first. The error of
@@ -141,7 +158,7 @@ class ChildrenTest<QuantisedNode<W>> {
 
   public:
     explicit HWY_INLINE ChildrenTest(const LocalRay& ray)
-        : ray_(ray), offsets_(ray, offsetof(Node, planes), W) {}
+        : ray_(ray), offsets_(plane_offsets_for<Node>(ray)) {}
 
     /// As above.
     HWY_INLINE Met operator()(const Node& node, float t_low, float t_cull) const {
@@ -182,7 +199,7 @@ class ChildrenTest<QuantisedNode<W>> {
 
   private:
     const LocalRay& ray_;
-    PlaneOffsets offsets_;
+    const PlaneOffsets& offsets_;
 };
 
 }  // namespace HWY_NAMESPACE
