@@ -136,6 +136,13 @@ bool is_lazy(const StructureChoice& choice) { return choice.parameters.contains(
 
 bool uses_order(const StructureChoice& choice) { return choice.type == "model_hierarchy"; }
 
+bool is_blind(const StructureChoice& choice) {
+    const auto builder = choice.parameters.find("builder");
+    return uses_order(choice) || (builder != choice.parameters.end() &&
+                                  (builder->second == ParameterValue(std::string("lbvh")) ||
+                                   builder->second == ParameterValue(std::string("median"))));
+}
+
 const StructureCosts* costs_of(const StructureChoice& choice, const std::string& shapes,
                                const Calibration& calibration) {
     // Boxes of objects are like those of triangles; what is inside costs the same under each.

@@ -62,6 +62,8 @@ const StructureCosts* costs_of(const StructureChoice& choice, const std::string&
 bool is_lazy(const StructureChoice& choice);
 /// Whether the order of the shapes in their file makes it good or bad: see OrderCost.
 bool uses_order(const StructureChoice& choice);
+/// Built without a look at surface areas: from the shapes' order, along a curve, or at medians.
+bool is_blind(const StructureChoice& choice);
 
 /// Sets total_s and fits from the rest.
 void set_total(CostEstimate& estimate, const Objective& objective);

@@ -25,7 +25,7 @@ std::vector<Candidate> candidates_for(std::vector<PlanChoice> choices, const Sce
 
 /// What it takes to look at all candidates, seconds: about as long for few shapes as for many,
 /// since little of what this needs is in a cache.
-constexpr double look_s = 1.2e-4;
+constexpr double look_s = 2.2e-4;
 
 /// Of few rays: what is chosen from a short list, because to look at more would take too long.
 const PlanChoice* quick_choice(const SceneCounts& counts, const AutoOptions& options,
@@ -114,7 +114,7 @@ class Chooser {
     /// and those of nested structures by how a nested one compares there.
     void pilot() {
         constexpr double most_shapes = 1024, least_shapes = 256, most_cost = 0.5;
-        constexpr size_t rays = 256, rays_of_pairs = 512;
+        constexpr size_t rays = 512, rays_of_pairs = 1024;
         const double all = counts_.unique();
         if (sample_.rays.empty() || all < 4 * least_shapes) return;
         // An order that promises most is to be tried there, too.
@@ -148,8 +148,15 @@ class Chooser {
             spend(again);
             outlook_.learn_from_pilots(best, index_of(flat), std::max(least, ratio));
         }
-        const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
         const double both = 2 * pilot_s(shapes, rays_of_pairs, seen);
+        if (both > most_cost * outlook_.allowed()) return;
+        const PlanChoice careful = plan_choice(default_structure(), PlanChoice::Placing::flat);
+        if (index_of(careful) < outlook_.size()) {
+            outlook_.learn_builder(index_of(careful), index_of(flat),
+                                   compared(pilot, careful, flat, rays_of_pairs));
+            spend(both);
+        }
+        const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
         if (counts_.placements <= 1 || both > most_cost * outlook_.allowed()) return;
         outlook_.learn_placing(compared(pilot, nested, flat, rays_of_pairs));
         spend(both);
@@ -173,7 +180,7 @@ class Chooser {
 
     /// Seconds to build the quickest structure over a thinned scene, cold, and to trace rays.
     double pilot_s(double shapes, size_t rays, double ns_per_ray) const {
-        constexpr double cold = 2.5, placement = 1e-6;
+        constexpr double cold = 3.2, placement = 1e-6;
         const double placed = shapes * counts_.placed() / counts_.unique();
         const CostEstimate e = estimate(quickest(), placed, counts_.kinds.front().name,
                                         options_.objective, calibration_);
@@ -192,16 +199,19 @@ class Chooser {
             const double all = counts_.unique(), shapes = std::min(2048.0, all / 8),
                          share = shapes / all;
             const CostEstimate &e = outlook_[next], &h = outlook_[held_];
-            const double cost = share * (e.build_s + h.build_s) +
-                                (dear_pilot_ ? 0 : thinning_s(shapes)) +
-                                1e-9 * double(rays) * (e.ns_per_ray + h.ns_per_ray);
+            const double cost =
+                dear_pilot_cold_ *
+                (share * (e.build_s + h.build_s) + (dear_pilot_ ? 0 : thinning_s(shapes)) +
+                 1e-9 * double(rays) * (e.ns_per_ray + h.ns_per_ray));
             if (shapes < 128 || cost > most_of_build * e.build_s || cost > outlook_.allowed())
                 return next;
             if (!dear_pilot_) dear_pilot_.emplace(scene_, counts_, shapes, looked_at);
             const double ratio = compared(*dear_pilot_, outlook_.candidates()[next].choice,
                                           outlook_.candidates()[held_].choice, rays);
             outlook_.learn_from_pilots(next, held_, ratio);
+            const double before = outlook_.spent();
             spend(cost);
+            dear_pilot_cold_ *= std::clamp((outlook_.spent() - before) / cost, 0.5, 2.0);
         }
     }
 
@@ -287,7 +297,10 @@ class Chooser {
     Outlook outlook_;
     Selection out_;
     std::optional<Pilot> dear_pilot_;  ///< for what is not built lightly
-    size_t held_ = 0;                  ///< whose assembly is kept
+    /// Its time over what warm builds of large scenes say: nothing is in the caches, and every
+    /// object has its share.
+    double dear_pilot_cold_ = 3.5;
+    size_t held_ = 0;  ///< whose assembly is kept
     bool holds_one_ = false, held_is_timed_ = false;
 };
 

@@ -79,6 +79,21 @@ void Outlook::learn_placing(double ratio) {
     }
 }
 
+void Outlook::learn_builder(size_t i, size_t quickest, double ratio) {
+    if (!std::isfinite(ratio) || ratio <= 0) return;
+    // Few rays tell it, and what was expected is worth something, too.
+    constexpr double power = 0.7;
+    const double expected = now_[i].ns_per_ray / now_[quickest].ns_per_ray;
+    const double factor = std::pow(ratio / expected, power);
+    for (size_t k = 0; k < size(); ++k) {
+        if (k == i || is_blind(candidates_[k].choice.structure)) continue;
+        now_[k].ns_per_ray *= factor;
+        set_total(now_[k], options_.objective);
+        candidates_[k].predicted = now_[k];
+    }
+    learn_from_pilots(i, quickest, expected * factor);
+}
+
 void Outlook::learn_from_pilots(size_t i, size_t other, double ratio) {
     piloted_[i] = true;
     if (!std::isfinite(ratio) || ratio <= 0) return;

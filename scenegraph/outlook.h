@@ -43,6 +43,10 @@ class Outlook {
     /// A thinned scene showed that rays take so many times as long where objects are nested as in
     /// one structure for all.
     void learn_placing(double ratio);
+    /// A thinned scene showed this for candidate i, a default build, and the quickest one. How much
+    /// is lost there by a build that is blind (see is_blind), as where shapes are of all sizes, is
+    /// about the same for all.
+    void learn_builder(size_t i, size_t quickest, double ratio);
     /// A thinned scene showed that candidate i's rays take so many times as long as those of
     /// candidate `other`.
     void learn_from_pilots(size_t i, size_t other, double ratio);

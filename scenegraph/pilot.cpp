@@ -138,10 +138,25 @@ CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
     return full;
 }
 
+double middle_ratio(std::vector<RunSeconds> seconds) {
+    std::sort(seconds.begin(), seconds.end(),
+              [](const auto& a, const auto& b) { return a.own * b.others < b.own * a.others; });
+    double all = 0, passed = 0, own = 0, others = 0;
+    for (const RunSeconds& run : seconds) all += run.weight();
+    for (const RunSeconds& run : seconds) {
+        if (!(run.weight() > 0)) continue;
+        const double from = std::max(passed, 0.25 * all);
+        passed += run.weight();
+        const double part = std::max(0.0, std::min(passed, 0.75 * all) - from) / run.weight();
+        own += part * run.own, others += part * run.others;
+    }
+    return own / others;
+}
+
 double time_ratio(const Primitive& root, const Primitive& other, const RaySample& sample) {
     constexpr size_t least = 64, most_runs = 32;
     const size_t n = sample.rays.size(), runs = std::clamp<size_t>(n / least, 1, most_runs);
-    std::vector<std::pair<double, double>> seconds(runs);
+    std::vector<RunSeconds> seconds(runs);
     for (size_t r = 0; r < runs; ++r) {
         const size_t begin = n * r / runs;
         const std::span<const Ray> run = sample.rays.subspan(begin, n * (r + 1) / runs - begin);
@@ -151,12 +166,7 @@ double time_ratio(const Primitive& root, const Primitive& other, const RaySample
         others = traced_seconds(other, run, sample);
         if (r % 2 == 1) own = traced_seconds(root, run, sample);
     }
-    std::sort(seconds.begin(), seconds.end(),
-              [](const auto& a, const auto& b) { return a.first * b.second < b.first * a.second; });
-    double own = 0, others = 0;
-    for (size_t r = runs / 4; r < runs - runs / 4; ++r)
-        own += seconds[r].first, others += seconds[r].second;
-    return own / others;
+    return middle_ratio(std::move(seconds));
 }
 
 double observed_ns(const Primitive& root, const RaySample& sample) {
@@ -166,7 +176,12 @@ double observed_ns(const Primitive& root, const RaySample& sample) {
         ns.push_back(traced_seconds(root, sample.rays.subspan(first, part), sample) * 1e9 /
                      double(part));
     if (ns.size() > 1) ns.erase(ns.begin());  // it warmed up
-    return median(std::move(ns));
+    // Not their median: of a picture that shows little, that is too small.
+    constexpr double most = 2.5;
+    const double middle = median(ns);
+    double sum = 0;
+    for (const double part_ns : ns) sum += std::min(part_ns, most * middle);
+    return sum / double(ns.size());
 }
 
 }  // namespace crofton

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <limits>
 #include <map>
 #include <span>
@@ -65,12 +66,24 @@ double counted_ns(const Primitive& root, const StructureChoice& structure,
 
 /// Nanoseconds per ray, timed. No ray is traced twice: a processor that has seen a ray's branches
 /// foretells them the second time, and what is to be known is the time of rays that it has not
-/// seen. The first quarter of the sample warms up; of the others' times the median counts.
+/// seen. The first quarter of the sample warms up; of the others the mean counts, and of what took
+/// far longer than the others not all.
 /// @param sample  from some_of
 double observed_ns(const Primitive& root, const RaySample& sample);
 
+/// What two structures took for some rays.
+struct RunSeconds {
+    double own, others;
+    /// What it counts for. The machine may have done something else meanwhile, hardly twice.
+    double weight() const { return std::min(own, others); }
+};
+/// Sum of `own` over that of `others`, of the middle half of the runs by ratio, where each counts
+/// for as long as it took: rays that hit nothing tell little, and may be most.
+/// @param seconds  of one run or more
+double middle_ratio(std::vector<RunSeconds> seconds);
+
 /// What rays take in one structure over what they take in another, timed in turns, so that what
-/// else the machine does falls on both; of short runs of rays the middle half by this ratio counts.
+/// else the machine does falls on both. Of short runs of rays, see middle_ratio.
 /// @param sample  from some_of; not empty
 double time_ratio(const Primitive& root, const Primitive& other, const RaySample& sample);
 

@@ -52,6 +52,13 @@ StructureChoice structure_of(const AcceleratorChoice& accelerator) {
     return {accelerator.type, accelerator.type, accelerator.parameters};
 }
 
+/// @return  the first if there is none of this name
+const StructureChoice& named(const std::string& name) {
+    for (const StructureChoice& s : structure_choices())
+        if (s.name == name) return s;
+    return structure_choices().front();
+}
+
 /// Counts of shapes do not say how good their order is; a sample does: of the largest mesh,
 /// which stands for all. No order is much better for rays than a tree that is built.
 /// @param built_ns  per ray, of the quickest
@@ -171,11 +178,12 @@ PlanChoice plan_choice_of(const AssemblyPlan& plan) {
 }
 
 const StructureChoice& quickest() {
-    static const StructureChoice& choice = []() -> const StructureChoice& {
-        for (const StructureChoice& s : structure_choices())
-            if (s.name == "wide_bvh/lbvh") return s;
-        return structure_choices().front();
-    }();
+    static const StructureChoice& choice = named("wide_bvh/lbvh");
+    return choice;
+}
+
+const StructureChoice& default_structure() {
+    static const StructureChoice& choice = named("wide_bvh");
     return choice;
 }
 

@@ -51,6 +51,8 @@ PlanChoice plan_choice_of(const AssemblyPlan& plan);
 /// The structure that is built fastest of those that rays are fast in, whatever the order of the
 /// shapes.
 const StructureChoice& quickest();
+/// What is built if nothing else is said.
+const StructureChoice& default_structure();
 
 /// Whether a plan leaves everything open: `auto` without parameters on top and for objects, and
 /// nothing else. Then choose_assembly decides for the scene as a whole, with rays at hand; where

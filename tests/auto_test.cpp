@@ -506,6 +506,44 @@ TEST_CASE("auto: how nesting compares on a thinned scene scales what is nested, 
     CHECK(outlook[1].ns_per_ray == Approx(100));
 }
 
+TEST_CASE(
+    "auto: how a careful build compares on a thinned scene scales what is not built blindly") {
+    const AutoOptions options = counted_for(1e6);
+    const auto with_builder = [](const char* name, double ns, const char* builder) {
+        Candidate c = candidate(name, 0.001, ns);
+        if (*builder) c.choice.structure.parameters["builder"] = std::string(builder);
+        return c;
+    };
+    Outlook outlook(
+        {with_builder("quick", 100, "lbvh"), with_builder("careful", 100, ""),
+         with_builder("better", 90, "sbvh"), with_builder("another quick", 150, "median")},
+        options, 10000);
+    outlook.learn_builder(1, 0, 0.5);
+    CHECK(outlook[0].ns_per_ray == 100);
+    CHECK(outlook[3].ns_per_ray == 150);
+    // Most of what was seen is believed, and for all of them the same.
+    CHECK(outlook[1].ns_per_ray > 50);
+    CHECK(outlook[1].ns_per_ray < 70);
+    CHECK(outlook[2].ns_per_ray == Approx(0.9 * outlook[1].ns_per_ray));
+    CHECK(outlook.piloted(1));
+    const double before = outlook[1].ns_per_ray;
+    outlook.learn_builder(1, 0, std::numeric_limits<double>::quiet_NaN());
+    CHECK(outlook[1].ns_per_ray == before);
+}
+
+TEST_CASE("auto: of two structures' times, rays that hit nothing do not drown the others") {
+    // Most runs pass everything by, in both alike; what hits takes twice as long in one.
+    std::vector<RunSeconds> seconds(24, {1, 1});
+    for (size_t i = 0; i < 8; ++i) seconds[3 * i] = {60 + double(i), 30 + 0.5 * double(i)};
+    CHECK(middle_ratio(seconds) == Approx(2).epsilon(0.01));
+    // The machine was busy elsewhere in one run of each.
+    seconds[0].own = 5000;
+    seconds[3].others = 5000;
+    CHECK(middle_ratio(seconds) == Approx(2).epsilon(0.01));
+    CHECK(middle_ratio({{3, 4}}) == Approx(0.75));
+    CHECK(std::isnan(middle_ratio({{0, 0}})));
+}
+
 TEST_CASE("auto: rays from one point, neighbours together, are told from others") {
     std::vector<Ray> rays(100);
     for (size_t i = 0; i < rays.size(); ++i) rays[i].direction = Vec3f(0.01f * float(i), 0, 1);
