@@ -22,7 +22,7 @@ struct Box {
 };
 
 /// t of a triangle, relative: rounded to float once from double, where the corners' errors are far
-/// below triangle_bound (solve_in_double in framework/simd.h).
+/// below triangle_bound (solve_lanes in framework/simd.h).
 inline constexpr double t_bound = 0x1p-23;
 /// And absolute: t may be no normal float.
 inline constexpr double least_t_bound = 0x1p-125;

@@ -114,7 +114,7 @@ class TriangleLeaves {
 
 /// The watertight test of one triangle, with edge signs decided in double and t, u, v computed in
 /// double: for the rays that graze an edge, or the plane. Sees the same rounded shear as the SIMD
-/// test, whose arithmetic in double is this one's (solve_in_double).
+/// test, whose arithmetic in double is this one's (solve_lanes).
 /// @param v  world-space vertices
 /// @return whether it is hit at any t. t, u, v are those of a point of the triangle that the ray
 ///         passes at no more than the rounding of the shear: t is within a float ulp, unless the
