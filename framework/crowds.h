@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <span>
@@ -8,30 +9,44 @@
 
 namespace crofton {
 
-/// Which of two ways takes less time, found by trying both in turns, now and then: the first to win
-/// three pairs, since neighbours in a stream take about as long. What is large for a machine's
-/// caches, and what is gained by having several steps under way, is different for every machine,
-/// structure and stream; results are the same either way.
+/// Which of two ways takes less time, found by trying both in turns, now and then. Pairs of turns
+/// are over different rays and so tell little each: the way that is not taken has to win four more
+/// than it loses, and is left when it has lost two more. Where it is left it is tried again after
+/// twice as long. What is large for a machine's caches, and what is gained by having several steps
+/// under way, is different for every machine, structure and stream; results are the same either
+/// way.
 class FasterWay {
   public:
     /// @return  whether to take the second way next
-    bool second() const { return trying() ? turn_ % 2 == 1 : won_[1] == needed; }
+    bool second() const { return (trying_ && turn_ % 2 == 1) != taken_; }
     /// The way named by `second` took so long.
     void took(double time) {
-        if (trying()) {
-            if (turn_ % 2 == 1) ++won_[time < before_];
+        if (trying_) {
+            if (turn_ % 2 == 1) decide(time < before_ ? 1 : -1);
             before_ = time;
         }
-        if (++turn_ < period) return;
-        turn_ = 0;
-        won_[0] = won_[1] = 0;
+        if (++turn_ >= period_ && !trying_) {
+            turn_ = 0;
+            trying_ = true;
+        }
     }
 
   private:
-    static constexpr int needed = 3, period = 256;
-    bool trying() const { return won_[0] < needed && won_[1] < needed; }
+    static constexpr int to_win = 4, to_lose = -2, least_period = 256, most_period = 2048;
 
-    int turn_ = 0, won_[2] = {0, 0};
+    void decide(int won) {
+        score_ += won;
+        if (score_ > to_lose && score_ < to_win) return;
+        const bool wins = score_ >= to_win;
+        taken_ ^= wins;
+        period_ = wins ? least_period : std::min(2 * period_, most_period);
+        score_ = 0;
+        trying_ = false;
+    }
+
+    bool taken_ = false;  ///< the second way
+    bool trying_ = true;  ///< the other one, every second turn
+    int turn_ = 0, score_ = 0, period_ = least_period;
     double before_ = 0;
 };
 
