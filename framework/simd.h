@@ -299,7 +299,7 @@ HWY_INLINE FloatVerdict<D> judge(D d, const V (&x)[3], const V (&y)[3], const V 
     const V det = hn::Add(hn::Add(edge[0], edge[1]), edge[2]);
     const V spread = hn::MulAdd(depth, hn::Set(d, 0x1p-13f), hn::Sub(far, near));
     const V error = hn::MulAdd(
-        hn::Mul(area, hn::Set(d, 0x1p-40f)), spread,
+        hn::Mul(area, hn::Set(d, 0x1p-16f)), spread,
         hn::MulAdd(hn::Mul(hn::Abs(det), hn::Set(d, 0x1p-19f)), depth, hn::Set(d, 0x1p-120f)));
     const V sum = hn::MulAdd(edge[0], z[0], hn::MulAdd(edge[1], z[1], hn::Mul(edge[2], z[2])));
     const V sign = hn::And(det, hn::SignBit(d));
