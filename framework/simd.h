@@ -283,7 +283,7 @@ struct FloatVerdict {
 /// the sign of sum(edge·(z - tau))·det. With u = 2^-24, and reach and distance as for solve_lanes,
 /// an edge function errs by 44u·reach·distance: where all are twice as large and more, double has
 /// the same signs, and solves there. The sum errs by three times that and the spread of depths
-/// (tau outside of these is on the side that the sum says in any case), and by 13u·|det·z|: errors
+/// (tau outside of these is on the side that the sum says in any case), and by 16u·|det·z|: errors
 /// of depths, of sums and products, and of t as a float.
 /// @param low, high  least and largest of `edge`; near, far: of z
 template <class D, class V>
@@ -299,8 +299,8 @@ HWY_INLINE FloatVerdict<D> judge(D d, const V (&x)[3], const V (&y)[3], const V 
     const V det = hn::Add(hn::Add(edge[0], edge[1]), edge[2]);
     const V spread = hn::MulAdd(depth, hn::Set(d, 0x1p-13f), hn::Sub(far, near));
     const V error = hn::MulAdd(
-        hn::Mul(area, hn::Set(d, 0x1p-16f)), spread,
-        hn::MulAdd(hn::Mul(hn::Abs(det), hn::Set(d, 0x1p-19f)), depth, hn::Set(d, 0x1p-120f)));
+        hn::Mul(area, hn::Set(d, 0x1.2p-17f)), spread,
+        hn::MulAdd(hn::Mul(hn::Abs(det), hn::Set(d, 0x1.8p-20f)), depth, hn::Set(d, 0x1p-120f)));
     const V sum = hn::MulAdd(edge[0], z[0], hn::MulAdd(edge[1], z[1], hn::Mul(edge[2], z[2])));
     const V sign = hn::And(det, hn::SignBit(d));
     const V from_min = hn::Xor(hn::NegMulAdd(t_min, det, sum), sign),
