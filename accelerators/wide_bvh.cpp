@@ -19,7 +19,7 @@ struct WideBvhTraversal {
     static bool run(const WideBvh<Set>& bvh, const Set& set, const LocalRay& ray, RayQuery& q,
                     C& counters, TraversalStart start = {}) {
         return with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
-            return visit_nodes(bvh.nodes, [&](const auto* nodes) HWY_ATTR {
+            return bvh.nodes.visit([&](const auto* nodes) HWY_ATTR {
                 return run_nodes<Q>(nodes, leaves, set, ray, q, counters, start.index);
             });
         });
@@ -37,7 +37,7 @@ struct WideBvhTraversal {
             return run<Q>(bvh, set, ray, query, none, {child, 0});
         };
         with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
-            visit_width<WideNode>(bvh.nodes, [&](const auto* nodes) HWY_ATTR {
+            bvh.nodes.visit_full([&](const auto* nodes) HWY_ATTR {
                 PacketTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
                                 std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, packet)
                     .run(alone);
@@ -53,7 +53,7 @@ struct WideBvhTraversal {
             return run<Q>(bvh, set, ray, query, none);
         };
         with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
-            visit_nodes(bvh.nodes, [&](const auto* nodes) HWY_ATTR {
+            bvh.nodes.visit([&](const auto* nodes) HWY_ATTR {
                 CrowdTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
                                std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, crowd)
                     .run(alone);

@@ -15,24 +15,6 @@ HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
 
-/// WideNodes::visit, compiled for the target: what that calls would be a function by itself.
-template <template <int> class Node, class F>
-HWY_INLINE auto visit_width(const WideNodes& nodes, const F& f) {
-    switch (nodes.width()) {
-        case 4:
-            return f(nodes.first<Node<4>>());
-        case 16:
-            return f(nodes.first<Node<16>>());
-        default:
-            return f(nodes.first<Node<8>>());
-    }
-}
-template <class F>
-HWY_INLINE auto visit_nodes(const WideNodes& nodes, const F& f) {
-    return HWY_LIKELY(nodes.format() == WideFormat::full) ? visit_width<WideNode>(nodes, f)
-                                                          : visit_width<QuantisedNode>(nodes, f);
-}
-
 /// Children that are tested at once.
 template <class Node>
 using NodeLanes = hn::CappedTag<float, Node::width>;
@@ -72,24 +54,18 @@ HWY_INLINE uint32_t test_children(const Test& test, const Node& node, float t_lo
 struct PlaneOffsets {
     size_t enter[3], leave[3];
 };
-/// @param begin   of the planes in a node
-/// @param size    bytes of the planes of an axis
-/// @param octant  bit a: the ray goes down axis a
-constexpr PlaneOffsets plane_offsets(size_t begin, size_t size, size_t octant) {
-    PlaneOffsets offsets{};
-    for (size_t a = 0; a < 3; ++a) {
-        const size_t upper = octant >> a & 1 ? 3 * size : 0;
-        offsets.enter[a] = begin + a * size + upper;
-        offsets.leave[a] = begin + (a + 3) * size - upper;
-    }
-    return offsets;
-}
+/// By octant; bit a: the ray goes down axis a.
 template <class Node>
-inline constexpr std::array<PlaneOffsets, 8> plane_offsets_of = [] {
-    std::array<PlaneOffsets, 8> of{};
+inline constexpr std::array<PlaneOffsets, 8> plane_offsets = [] {
+    constexpr size_t begin = offsetof(Node, planes), size = sizeof(Node::planes) / 6;
+    std::array<PlaneOffsets, 8> all{};
     for (size_t octant = 0; octant < 8; ++octant)
-        of[octant] = plane_offsets(offsetof(Node, planes), sizeof(Node::planes) / 6, octant);
-    return of;
+        for (size_t a = 0; a < 3; ++a) {
+            const size_t upper = octant >> a & 1 ? 3 * size : 0;
+            all[octant].enter[a] = begin + a * size + upper;
+            all[octant].leave[a] = begin + (a + 3) * size - upper;
+        }
+    return all;
 }();
 template <class Node>
 HWY_INLINE const PlaneOffsets& plane_offsets_for(const LocalRay& ray) {
@@ -97,7 +73,7 @@ HWY_INLINE const PlaneOffsets& plane_offsets_for(const LocalRay& ray) {
     const hn::RebindToSigned<decltype(d)> di;
     const auto down =
         hn::RebindMask(d, hn::Lt(hn::BitCast(di, hn::LoadU(d, ray.rcp)), hn::Zero(di)));
-    return plane_offsets_of<Node>[mask_bits(d, down) & 7];
+    return plane_offsets<Node>[mask_bits(d, down) & 7];
 }
 
 /// Tests all children of a node, by one fused operation a plane: see LocalRay for its error. The

@@ -127,16 +127,16 @@ class WideNodes {
     int width() const { return width_; }
     size_t bytes() const { return memory_.size(); }
 
-    /// f(const Node*), the type telling form and width. For kernels: visit_nodes.
+    /// f(const Node*), the root, or null if there is none; the type tells form and width. Becomes
+    /// part of the caller, which may be compiled for another instruction set.
     template <class F>
-    decltype(auto) visit(const F& f) const {
-        return format_ == WideFormat::full ? visit_width<WideNode>(f)
-                                           : visit_width<QuantisedNode>(f);
+    HWY_INLINE decltype(auto) visit(const F& f) const {
+        return format_ == WideFormat::full ? visit_full(f) : visit_width<QuantisedNode>(f);
     }
-    /// The root; null if there is none.
-    template <class Node>
-    const Node* first() const {
-        return reinterpret_cast<const Node*>(memory_.data());
+    /// The same, of nodes that are known to be full.
+    template <class F>
+    HWY_INLINE decltype(auto) visit_full(const F& f) const {
+        return visit_width<WideNode>(f);
     }
     /// @return  `count` nodes to be written
     template <class Node>
@@ -151,7 +151,7 @@ class WideNodes {
 
   private:
     template <template <int> class Node, class F>
-    decltype(auto) visit_width(const F& f) const {
+    HWY_INLINE decltype(auto) visit_width(const F& f) const {
         switch (width_) {
             case 4:
                 return f(first<Node<4>>());
@@ -161,6 +161,11 @@ class WideNodes {
                 return f(first<Node<8>>());
         }
     }
+    template <class Node>
+    const Node* first() const {
+        return reinterpret_cast<const Node*>(memory_.data());
+    }
+
     WideFormat format_ = WideFormat::full;
     int width_ = 8;
     RawAlignedVector<std::byte> memory_;

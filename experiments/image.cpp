@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <string>
@@ -56,7 +55,7 @@ void draw_legend(Image& image, double highest) {
 /// Seconds a ray takes with counting, from an even sample of the rays.
 double pilot_s(const Primitive& root, const std::vector<Ray>& rays) {
     const size_t step = std::max<size_t>(1, rays.size() / 200);
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     size_t count = 0;
     for (size_t i = step / 2; i < rays.size(); i += step, ++count) {
         Counters counters;

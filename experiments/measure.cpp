@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <atomic>
-#include <chrono>
 #include <mutex>
 #include <numeric>
 #include <thread>
 
 #include "experiments/random.h"
+#include "framework/clock.h"
 
 namespace crofton {
 namespace {
@@ -68,7 +68,7 @@ PinnedThread::~PinnedThread() {
 
 double timed_pass(const Primitive& root, std::span<const Ray> rays, const Tracing& tracing) {
     thread_local Scratch own;
-    const auto start = std::chrono::steady_clock::now();
+    const auto start = Clock::now();
     if (tracing.threads == 1) {
         for (size_t begin = 0; begin < rays.size(); begin += long_chunk)
             trace_chunk(root, rays.subspan(begin, std::min(long_chunk, rays.size() - begin)),
@@ -79,7 +79,7 @@ double timed_pass(const Primitive& root, std::span<const Ray> rays, const Tracin
             trace_chunk(root, rays.subspan(begin, end - begin), tracing, scratch);
         });
     }
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    return seconds_since(start);
 }
 
 double pilot_ns(const Primitive& root, std::span<const Ray> rays, const Tracing& tracing) {

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <bit>
-#include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
@@ -20,6 +19,7 @@
 #include "experiments/plot.h"
 #include "experiments/random.h"
 #include "experiments/workload.h"
+#include "framework/clock.h"
 #include "framework/error.h"
 #include "framework/parallel.h"
 #include "framework/registry.h"
@@ -291,13 +291,12 @@ class Run {
             RaySample sample = this->sample();
             sample.rays = some;
             sample.mode = *trial.built->spec->mode;
-            const auto start = std::chrono::steady_clock::now();
+            const auto start = Clock::now();
             double factor = 1;
             const CostEstimate e = pilot_->estimate(choice, trial.built->spec->plan, sample,
                                                     options, calibration(), pilot_builds, &factor);
             PredictedCosts p;
-            p.choose_s =
-                std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+            p.choose_s = seconds_since(start);
             p.build_s = e.build_s, p.bytes = e.bytes, p.ns_per_ray = e.ns_per_ray;
             p.expected_ns = factor * counted_ns(*trial.built->assembly.root, choice.structure,
                                                 *counts_, sample, calibration());

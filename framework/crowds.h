@@ -1,10 +1,10 @@
 #pragma once
 
 #include <algorithm>
-#include <chrono>
 #include <cstdint>
 #include <span>
 
+#include "framework/clock.h"
 #include "framework/ray_crowd.h"
 
 namespace crofton {
@@ -74,13 +74,12 @@ class Crowds {
         if (count_ < RayCrowd::most) return;
         const auto begin = Clock::now();
         way_.second() ? trace_crowd() : trace_each();
-        way_.took(std::chrono::duration<double>(Clock::now() - begin).count());
+        way_.took(seconds_since(begin));
     }
     /// Traces those that are left.
     void finish() { way_.second() && count_ >= least ? trace_crowd() : trace_each(); }
 
   private:
-    using Clock = std::chrono::steady_clock;
     static constexpr size_t least = 16;  ///< in a crowd, for the turns to be worth it
     struct Single {
         LocalRay local;

@@ -1,11 +1,11 @@
 #include "scenegraph/assemble.h"
 
 #include <atomic>
-#include <chrono>
 #include <map>
 #include <tuple>
 
 #include "accelerators/opening.h"
+#include "framework/clock.h"
 #include "framework/error.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
@@ -53,12 +53,11 @@ class Assembler {
     Assembler(const Scene& scene, const AssemblyPlan& plan) : scene_(scene), plan_(plan) {}
 
     Assembly run() {
-        const auto start = std::chrono::steady_clock::now();
+        const auto start = Clock::now();
         resolve_rules();
         result_.root =
             plan_.flatten ? flattened() : group({}, plan_.top, plan_.objects, 0).primitive;
-        result_.build_s =
-            std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+        result_.build_s = seconds_since(start);
         if (result_.inactive_instances > 0)
             result_.warnings.push_back(
                 std::to_string(result_.inactive_instances) +

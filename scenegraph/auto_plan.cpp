@@ -110,11 +110,10 @@ class Chooser {
         outlook_.set_spent(options_.clock ? spent_s() : outlook_.spent() + expected);
     }
 
-    /// Scales every estimate to this scene by what a thinned one shows, if that is cheap enough;
-    /// and those of nested structures by how a nested one compares there.
+    /// Scales every estimate to this scene by what a thinned one shows, if that is cheap enough.
     void pilot() {
-        constexpr double most_shapes = 1024, least_shapes = 256, most_cost = 0.5;
-        constexpr size_t rays = 512, rays_of_pairs = 1024;
+        constexpr double most_shapes = 1024, least_shapes = 256;
+        constexpr size_t rays = 512;
         const double all = counts_.unique();
         if (sample_.rays.empty() || all < 4 * least_shapes) return;
         // An order that promises most is to be tried there, too.
@@ -123,7 +122,8 @@ class Chooser {
         double shapes = most_shapes, cost = 0;
         for (;; shapes /= 2) {
             if (shapes < least_shapes) return;
-            const double one = pilot_s(shapes, rays, ns), most = most_cost * outlook_.allowed();
+            const double one = pilot_s(shapes, rays, ns),
+                         most = most_of_pilots * outlook_.allowed();
             cost = thinning_s(shapes) + one;
             if (all >= 4 * shapes && cost + (ordered ? one : 0) <= most) break;
         }
@@ -148,18 +148,22 @@ class Chooser {
             spend(again);
             outlook_.learn_from_pilots(best, index_of(flat), std::max(least, ratio));
         }
-        const double both = 2 * pilot_s(shapes, rays_of_pairs, seen);
-        if (both > most_cost * outlook_.allowed()) return;
+        pilot_pairs(pilot, flat, 2 * pilot_s(shapes, rays_of_pairs, seen));
+    }
+
+    /// Compares a careful build and a nested one with what the pilot has built, as far as there is
+    /// time.
+    /// @param cost  of each, seconds
+    void pilot_pairs(Pilot& pilot, const PlanChoice& flat, double cost) {
+        if (cost > most_of_pilots * outlook_.allowed()) return;
         const PlanChoice careful = plan_choice(default_structure(), PlanChoice::Placing::flat);
-        if (index_of(careful) < outlook_.size()) {
-            outlook_.learn_builder(index_of(careful), index_of(flat),
-                                   compared(pilot, careful, flat, rays_of_pairs));
-            spend(both);
-        }
+        outlook_.learn_builder(index_of(careful), index_of(flat),
+                               compared(pilot, careful, flat, rays_of_pairs));
+        spend(cost);
+        if (counts_.placements <= 1 || cost > most_of_pilots * outlook_.allowed()) return;
         const PlanChoice nested = plan_choice(quickest(), PlanChoice::Placing::nested);
-        if (counts_.placements <= 1 || both > most_cost * outlook_.allowed()) return;
         outlook_.learn_placing(compared(pilot, nested, flat, rays_of_pairs));
-        spend(both);
+        spend(cost);
     }
 
     size_t index_of(const PlanChoice& choice) const {
@@ -171,6 +175,8 @@ class Chooser {
     }
 
     static constexpr size_t looked_at = 16;  ///< shapes, for each of a thinned scene
+    static constexpr size_t rays_of_pairs = 1024;
+    static constexpr double most_of_pilots = 0.5;  ///< of what is allowed, for the next of them
 
     /// Seconds to thin the scene to so many: for each that is looked at, for nodes, and for all
     /// that is not in the caches then.
