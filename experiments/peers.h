@@ -1,10 +1,19 @@
 #pragma once
 
+#include "framework/registry.h"
+
 namespace crofton {
 
-/// Puts the structures of other libraries into the registry (see `peers`): "embree", which can be
-/// built if CMake found Embree 3 or 4. Those that cannot have no `build`: a run leaves their
-/// variants out and says so.
+/// Structures of other libraries, to compare with. Those that were not found when Crofton was built
+/// have no `build`: a run leaves their variants out and says so.
+
+/// "embree", over triangles, or over its own structures over triangles and instances of them. Needs
+/// Embree 3 or 4 (Wald et al. 2014).
+AcceleratorInfo embree_peer();
+/// "tinybvh", BVH8_CPU over triangles. Needs tiny_bvh.h (Bikker 2024).
+AcceleratorInfo tinybvh_peer();
+
+/// Puts all of them into the registry (see `peers`).
 void register_peers();
 
 }  // namespace crofton
