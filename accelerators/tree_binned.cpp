@@ -26,7 +26,8 @@ class BinnedBuilder {
         BinaryTree tree;
         tree.nodes.resize(2 * refs_.size() - 1);
         nodes_ = tree.nodes.data();
-        build_range(0, refs_.size(), 0, 0, bounds_of(refs_));
+        size_t next = 1;
+        build_range(0, refs_.size(), 0, next, 0, bounds_of(refs_));
         tree.order.resize(refs_.size());
         parallel_for(refs_.size(), 1 << 14, [&](size_t begin, size_t end) {
             for (size_t i = begin; i < end; ++i) tree.order[i] = refs_[i].shape;
@@ -35,9 +36,10 @@ class BinnedBuilder {
     }
 
   private:
-    /// A subtree of n references uses at most 2n - 1 nodes from `node` on: a fixed place, whichever
-    /// thread builds it.
-    void build_range(size_t begin, size_t end, size_t node, int depth,
+    /// A subtree of n references uses at most 2n - 1 nodes. A large one has so many from `node` on:
+    /// a fixed place, whichever thread builds it. In it, small ones lie side by side.
+    /// @param next  the first that is free, if it is small
+    void build_range(size_t begin, size_t end, size_t node, size_t& next, int depth,
                      const ReferenceBounds& range) {
         const size_t n = end - begin;
         const std::span<BuildReference> references(refs_.data() + begin, n);
@@ -49,20 +51,26 @@ class BinnedBuilder {
             nodes_[node].make_leaf(begin, n);
             return;
         }
-        const size_t middle = begin + n_left, left = node + 1, right = node + 2 * n_left;
-        nodes_[node].make_inner(left, right);
-        const auto build_left = [&] {
-            build_range(begin, middle, left, depth + 1, halves.side[0]);
-        };
-        const auto build_right = [&] {
-            build_range(middle, end, right, depth + 1, halves.side[1]);
-        };
-        if (n >= parallel_size) {
-            parallel_invoke(build_left, build_right);
-        } else {
-            build_left();
-            build_right();
+        const size_t middle = begin + n_left;
+        if (n < parallel_size) {
+            const size_t left = next, right = next + 1;
+            next += 2;
+            nodes_[node].make_inner(left, right);
+            build_range(begin, middle, left, next, depth + 1, halves.side[0]);
+            build_range(middle, end, right, next, depth + 1, halves.side[1]);
+            return;
         }
+        const size_t left = node + 1, right = node + 2 * n_left;
+        nodes_[node].make_inner(left, right);
+        parallel_invoke(
+            [&] {
+                size_t free = left + 1;
+                build_range(begin, middle, left, free, depth + 1, halves.side[0]);
+            },
+            [&] {
+                size_t free = right + 1;
+                build_range(middle, end, right, free, depth + 1, halves.side[1]);
+            });
     }
 
     /// Reorders the references so that the left child's come first; none do for a leaf.

@@ -117,7 +117,7 @@ BinaryTree build_clustered(BuildReferences references, int radius);
 BinaryTree build_inserted(BuildReferences references, InsertionOrder order);
 /// @}
 
-/// Indices by the Morton code of the centroid, 21 bits an axis.
+/// Indices by the Morton code of the centroid, see MortonKeys.
 std::vector<uint32_t> morton_order(const BuildReferences& references);
 
 /// @name Work on a finished tree

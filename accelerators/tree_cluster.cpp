@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "accelerators/box4.h"
+#include "accelerators/morton.h"
 #include "accelerators/tree_build.h"
 
 namespace crofton {
@@ -12,113 +13,10 @@ namespace {
 constexpr int median_depth = 40;        // from here on, halves by count
 constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
 
-struct Key {
-    uint64_t code;
-    uint32_t reference;
-};
-
-/// Spreads 21 bits to every third.
-uint64_t spread(uint64_t x) {
-    x = (x | x << 32) & 0x1f00000000ffffull;
-    x = (x | x << 16) & 0x1f0000ff0000ffull;
-    x = (x | x << 8) & 0x100f00f00f00f00full;
-    x = (x | x << 4) & 0x10c30c30c30c30c3ull;
-    return (x | x << 2) & 0x1249249249249249ull;
-}
-
-constexpr int sorted_bit = 30;  // bits from here on are sorted by digits
-
-/// Sorts each run of keys that are equal from `sorted_bit` on.
-void sort_runs(RawAlignedVector<Key>& keys) {
-    const size_t n = keys.size();
-    const auto run = [&](size_t i) { return keys[i].code >> sorted_bit; };
-    const auto less = [](const Key& a, const Key& b) {
-        return a.code != b.code ? a.code < b.code : a.reference < b.reference;
-    };
-    const size_t size = chunk_size(n), chunks = (n + size - 1) / size;
-    std::vector<size_t> begins(chunks + 1, n);
-    for (size_t c = 0; c < chunks; ++c) {
-        size_t& begin = begins[c] = std::min(n, c * size);
-        while (begin > 0 && begin < n && run(begin) == run(begin - 1)) ++begin;
-    }
-    parallel_for(chunks, 1, [&](size_t from, size_t to) {
-        for (size_t begin = begins[from]; begin < begins[to];) {
-            size_t end = begin + 1;
-            while (end < begins[to] && run(end) == run(begin)) ++end;
-            if (end - begin > 1)
-                std::sort(keys.begin() + ptrdiff_t(begin), keys.begin() + ptrdiff_t(end), less);
-            begin = end;
-        }
-    });
-}
-
-/// By code, then by reference. The highest 33 bits by 11 at a time, in parallel by chunks that do
-/// not depend on the threads; they leave short runs, or long ones of equal codes.
-void radix_sort(RawAlignedVector<Key>& keys) {
-    constexpr size_t digits = 2048, least = 8192, most_chunks = 16;
-    const size_t n = keys.size();
-    const size_t chunks = std::clamp<size_t>(n / least, 1, most_chunks);
-    const auto chunk_begin = [&](size_t c) { return n * c / chunks; };
-    RawAlignedVector<Key> other(n);
-    std::vector<std::array<uint32_t, digits>> count(chunks);
-    for (int shift = sorted_bit; shift < 63; shift += 11) {
-        const auto digit = [&](const Key& k) { return size_t(k.code >> shift & (digits - 1)); };
-        parallel_for(chunks, 1, [&](size_t from, size_t to) {
-            for (size_t c = from; c < to; ++c) {
-                count[c].fill(0);
-                for (size_t i = chunk_begin(c); i < chunk_begin(c + 1); ++i)
-                    ++count[c][digit(keys[i])];
-            }
-        });
-        uint32_t sum = 0;
-        for (size_t d = 0; d < digits; ++d)
-            for (auto& c : count) {
-                const uint32_t here = c[d];
-                c[d] = sum;
-                sum += here;
-            }
-        parallel_for(chunks, 1, [&](size_t from, size_t to) {
-            for (size_t c = from; c < to; ++c)
-                for (size_t i = chunk_begin(c); i < chunk_begin(c + 1); ++i)
-                    other[count[c][digit(keys[i])]++] = keys[i];
-        });
-        keys.swap(other);
-    }
-    sort_runs(keys);
-}
-
-/// References by the Morton code of their centroids, 21 bits an axis; equal ones by index.
-RawAlignedVector<Key> morton_keys(const BuildReferences& refs) {
-    const ReferenceBounds range =
-        sum_chunks<ReferenceBounds>(0, refs.size(), [&](size_t begin, size_t end) {
-            ReferenceBounds sum;
-            for (size_t i = begin; i < end; ++i) sum.add(refs[i]);
-            return sum;
-        });
-    const Bounds3 centroids = range.centroids.bounds();
-    // One scale for all axes: cells are cubes.
-    const float extent = (centroids.upper - centroids.lower).maxCoeff();
-    const float scale = 2097151.0f / extent;
-    const bool usable = extent > 0 && std::isfinite(extent) && std::isfinite(scale);
-    RawAlignedVector<Key> keys(refs.size());
-    parallel_for(refs.size(), 1 << 13, [&](size_t begin, size_t end) {
-        for (size_t i = begin; i < end; ++i) {
-            uint64_t code = 0;
-            for (int a = 0; usable && a < 3; ++a) {
-                const float x = (centroid2(refs[i].bounds, a) - centroids.lower[a]) * scale;
-                code |= spread(uint64_t(std::clamp(x, 0.0f, 2097151.0f))) << a;
-            }
-            keys[i] = {code, uint32_t(i)};
-        }
-    });
-    radix_sort(keys);
-    return keys;
-}
-
 class MortonBuilder {
   public:
     MortonBuilder(BuildReferences references, size_t leaf_size)
-        : refs_(std::move(references)), keys_(morton_keys(refs_)), leaf_size_(leaf_size) {}
+        : refs_(std::move(references)), keys_(refs_), leaf_size_(leaf_size) {}
 
     BinaryTree build() {
         BinaryTree tree;
@@ -127,7 +25,7 @@ class MortonBuilder {
         tree.order.resize(n);
         nodes_ = tree.nodes.data();
         parallel_for(n, 1 << 14, [&](size_t begin, size_t end) {
-            for (size_t i = begin; i < end; ++i) tree.order[i] = refs_[keys_[i].reference].shape;
+            for (size_t i = begin; i < end; ++i) tree.order[i] = refs_[keys_.index(i)].shape;
         });
         build_range(0, n, 0, 0);
         return tree;
@@ -138,7 +36,7 @@ class MortonBuilder {
         BinaryTree::Node& out = nodes_[node];
         if (end - begin <= leaf_size_) {
             Box4 box;
-            for (size_t i = begin; i < end; ++i) box.extend(Box4(refs_[keys_[i].reference]));
+            for (size_t i = begin; i < end; ++i) box.extend(Box4(refs_[keys_.index(i)]));
             out.bounds = box.bounds();
             out.make_leaf(begin, end - begin);
             return;
@@ -159,17 +57,17 @@ class MortonBuilder {
 
     /// Where the highest bit that differs goes from 0 to 1; the middle if none does.
     size_t split(size_t begin, size_t end) const {
-        const uint64_t differ = keys_[begin].code ^ keys_[end - 1].code;
+        const uint64_t differ = keys_.code(begin) ^ keys_.code(end - 1);
         if (differ == 0) return begin + (end - begin) / 2;
-        const uint64_t bit = std::bit_floor(differ);
-        const auto middle =
-            std::partition_point(keys_.begin() + ptrdiff_t(begin), keys_.begin() + ptrdiff_t(end),
-                                 [bit](const Key& k) { return (k.code & bit) == 0; });
-        return size_t(middle - keys_.begin());
+        const auto place = [&](size_t i) { return keys_.data() + i; };
+        const uint64_t bit = std::bit_floor(keys_.key(begin) ^ keys_.key(end - 1));
+        return size_t(std::partition_point(place(begin), place(end),
+                                           [bit](uint64_t key) { return (key & bit) == 0; }) -
+                      keys_.data());
     }
 
     BuildReferences refs_;
-    RawAlignedVector<Key> keys_;
+    MortonKeys keys_;
     size_t leaf_size_;
     BinaryTree::Node* nodes_ = nullptr;
 };
@@ -185,10 +83,10 @@ class ClusterBuilder {
         tree_.nodes.resize(2 * n - 1);
         tree_.order.resize(n);
         next_inner_ = n - 1;
-        const RawAlignedVector<Key> keys = morton_keys(refs_);
+        const MortonKeys keys(refs_);
         clusters_.resize(n);
         for (size_t i = 0; i < n; ++i) {
-            const BuildReference& r = refs_[keys[i].reference];
+            const BuildReference& r = refs_[keys.index(i)];
             BinaryTree::Node& leaf = tree_.nodes[n - 1 + i];
             leaf.bounds = r.bounds;
             leaf.make_leaf(i, 1);
@@ -297,9 +195,9 @@ class ClusterBuilder {
 }  // namespace
 
 std::vector<uint32_t> morton_order(const BuildReferences& references) {
-    const RawAlignedVector<Key> keys = morton_keys(references);
+    const MortonKeys keys(references);
     std::vector<uint32_t> order(keys.size());
-    for (size_t i = 0; i < keys.size(); ++i) order[i] = keys[i].reference;
+    for (size_t i = 0; i < keys.size(); ++i) order[i] = keys.index(i);
     return order;
 }
 

@@ -201,12 +201,18 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
     WideBvh bvh;
     bvh.nodes = WideNodes(p.nodes, width_of(p.width));
     TreeCosts costs = tree_costs<Set>(cost_constants.wide_node);
-    const PackedFrom<Set> corners(set);
-    if constexpr (std::is_same_v<Set, TriangleSet>)
+    const bool is_quick =
+        std::is_same_v<Set, TriangleSet> && p.builder == TreeBuilder::lbvh && p.reinsertion == 0;
+    const PackedFrom<Set> corners = packed_from(set, is_quick);
+    QuickTree quick;
+    if constexpr (std::is_same_v<Set, TriangleSet>) {
         costs.blocks = [&](std::span<const uint32_t> shapes) {
             return corners.count_patches(shapes);
         };
-    const BinaryTree tree = build_tree(set, p, costs);
+        if (is_quick) quick = build_quick_tree(set, corners, costs, p.max_leaf_size);
+    }
+    const BinaryTree other = is_quick ? BinaryTree() : build_tree(set, p, costs);
+    const BinaryTree& tree = is_quick ? quick.tree : other;
     if (tree.empty()) return bvh;
     bvh.box = tree.nodes[0].bounds;
     bvh.nodes.visit([&](const auto* nodes) {
@@ -216,7 +222,10 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
         const WideCollapse<Node::width> collapse(tree, costs, 4 * cost_constants.wide_node,
                                                  shape_costs(set, costs));
         bvh.cost = collapse.expected_cost();
-        WideWriter<Set, Node>(bvh, tree, collapse, corners).write();
+        WideWriter<Set, Node> writer(bvh, tree, collapse);
+        if constexpr (std::is_same_v<Set, TriangleSet>)
+            if (is_quick) return writer.write(quick);
+        writer.write(corners);
     });
     if constexpr (std::is_same_v<Set, TriangleSet>)
         if (p.leaves == WideLeafForm::compact) {

@@ -1,97 +1,153 @@
 #include "accelerators/wide_collapse.h"
 
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "accelerators/wide_collapse.cpp"
+#include <hwy/foreach_target.h>
+#include <hwy/highway.h>
+
 #include <algorithm>
+#include <limits>
 
+HWY_BEFORE_NAMESPACE();
 namespace crofton {
-namespace {
-
-/// Of a subtree, by slots of the wide node above it.
-template <int W>
-struct SlotCosts {
-    std::array<double, W + 1> least;  // cost times area, for 1 to `leaves` slots
-    int leaves;                       // of the subtree, but W at most: more slots are of no use
-};
-
-/// Best share of k slots for the left child; of equal ones, the most even.
-template <int W>
-uint8_t best_share(const SlotCosts<W>& left, const SlotCosts<W>& right, int k, double& cost) {
-    const int first = std::max(1, k - right.leaves), last = std::min(k - 1, left.leaves);
-    const auto of = [&](int i) { return left.least[size_t(i)] + right.least[size_t(k - i)]; };
-    int best = std::clamp(k / 2, first, last);
-    cost = of(best);
-    for (int i = first; i <= last; ++i)
-        if (of(i) < cost) cost = of(i), best = i;
-    return uint8_t(best);
-}
-
-}  // namespace
+namespace HWY_NAMESPACE {
+namespace hn = hwy::HWY_NAMESPACE;
 
 /// Plans a subtree after its children, the two at once near the root of a large tree. Recursion is
-/// as deep as the tree, which is bounded.
+/// as deep as the tree, which is bounded. The same sums in every lane: the same plans for all
+/// instruction sets.
 template <int W>
 class WidePlanner {
-  public:
-    WidePlanner(WideCollapse<W>& collapse, const TreeCosts& costs, double wide_node,
-                std::span<const float> cost_of_shape)
-        : tree_(collapse.tree_),
-          plans_(collapse.plans_),
-          costs_(costs),
-          wide_node_(wide_node),
-          cost_of_shape_(cost_of_shape),
-          parallel_levels_(parallel_levels(tree_.nodes.size())) {}
+    using D = hn::CappedTag<float, W>;
+    using V = hn::Vec<D>;
+    static constexpr size_t N = hn::MaxLanes(D()), parts = W / N;
 
-    void plan(uint32_t n, int depth, SlotCosts<W>& c) {
+  public:
+    using Plan = typename WideCollapse<W>::Plan;
+    /// Costs times area of a subtree by slots of the wide node above it, relative to the root.
+    struct SlotCosts {
+        /// [W + k - 1]: for k slots at most; in front of that, infinite.
+        alignas(64) float least[2 * W];
+        int leaves;  ///< of the subtree, but W at most: more slots are of no use
+    };
+
+    WidePlanner(const WidePlanTask<W>& task) : task_(task), tree_(task.tree) {
+        const double area = half_area(tree_.nodes[0].bounds);
+        per_area_ = area > 0 ? 1 / area : 0;
+        parallel_levels_ = parallel_levels(tree_.nodes.size());
+    }
+
+    void plan(uint32_t n, int depth, SlotCosts& c) {
+        const D d;
         const BinaryTree::Node& node = tree_.nodes[n];
-        const double area = half_area(node.bounds);
+        const double area = half_area(node.bounds) * per_area_;
+        for (size_t p = 0; p < parts && parts > 1; ++p) hn::Store(hn::Inf(d), d, c.least + p * N);
         if (node.leaf()) {
-            c.least[1] = area * leaf(node);
+            const auto cost = hn::Set(d, float(area * leaf(node)));
+            for (size_t p = 0; p < parts; ++p) hn::Store(cost, d, c.least + W + p * N);
             c.leaves = 1;
             return;
         }
-        SlotCosts<W> left, right;
+        SlotCosts left, right;
         invoke_both(
             depth < parallel_levels_, [&] { plan(node.left, depth + 1, left); },
             [&] { plan(node.right, depth + 1, right); });
         c.leaves = std::min(W, left.leaves + right.leaves);
-        typename WideCollapse<W>::Plan& p = plans_[n];
-        for (int k = c.leaves; k >= 2; --k) {
-            double shared;
-            p[size_t(k)] = best_share(left, right, k, shared);
-            if (k == c.leaves) c.least[1] = area * wide_node_ + shared;
-            c.least[size_t(k)] = shared;
-            if (c.least[1] < shared) {
-                c.least[size_t(k)] = c.least[1];
-                p[size_t(k)] |= WideCollapse<W>::own_node;
-            }
-        }
-        std::fill(p.begin() + c.leaves + 1, p.end(), p[size_t(c.leaves)]);
+        share(left, right, float(area * task_.wide_node), c, task_.plans[n]);
     }
 
   private:
+    /// The best share of each number of slots.
+    /// @param own  of the node itself as a wide node
+    HWY_INLINE void share(const SlotCosts& left, const SlotCosts& right, float own, SlotCosts& c,
+                          Plan& plan) const {
+        const D d;
+        V shared[parts], share[parts];
+        for (size_t p = 0; p < parts; ++p) shared[p] = hn::Inf(d), share[p] = hn::Set(d, 1.0f);
+        const int most = std::min(left.leaves, W - 1);
+        for (int i = 1; i <= most; ++i) {
+            const auto l = hn::Set(d, left.least[W + i - 1]), slots = hn::Set(d, float(i));
+            for (size_t p = 0; p < parts; ++p) {
+                const auto sum = hn::Add(l, behind(right, i, p));
+                const auto better = hn::Lt(sum, shared[p]);
+                shared[p] = hn::IfThenElse(better, sum, shared[p]);
+                share[p] = hn::IfThenElse(better, slots, share[p]);
+            }
+        }
+        for (size_t p = 0; p < parts; ++p) hn::Store(shared[p], d, c.least + W + p * N);
+        const auto alone = hn::Set(d, own + c.least[2 * W - 1]);
+        const hn::RebindToSigned<D> d32;
+        const hn::Rebind<uint8_t, D> d8;
+        for (size_t p = 0; p < parts; ++p) {
+            hn::Store(hn::Min(shared[p], alone), d, c.least + W + p * N);
+            const auto flag = hn::IfThenElseZero(hn::Lt(alone, shared[p]),
+                                                 hn::Set(d, float(WideCollapse<W>::own_node)));
+            const auto bytes = hn::ConvertTo(d32, hn::Add(share[p], flag));
+            hn::StoreU(hn::DemoteTo(d8, bytes), d8, plan.data() + p * N);
+        }
+    }
+    /// Part p of the costs for i slots less; infinite where that is none.
+    static HWY_INLINE V behind(const SlotCosts& costs, int i, size_t p) {
+        const D d;
+        if constexpr (parts == 1) {
+            // As it was stored: a load that reaches into what is in front of it would have to wait.
+            const hn::RebindToSigned<D> d32;
+            const auto lane = hn::Sub(hn::Iota(d32, 0), hn::Set(d32, i));
+            const auto moved =
+                hn::TableLookupLanes(hn::Load(d, costs.least + W),
+                                     hn::IndicesFromVec(d, hn::And(lane, hn::Set(d32, W - 1))));
+            return hn::IfThenElse(hn::FirstN(d, size_t(i)), hn::Inf(d), moved);
+        } else {
+            return hn::LoadU(d, costs.least + W + p * N - i);
+        }
+    }
     double leaf(const BinaryTree::Node& node) const {
         double shapes = 0;
-        if (costs_.leaf_width == 1)
+        if (task_.costs.leaf_width == 1)
             for (uint32_t i = 0; i < node.count; ++i)
-                shapes += cost_of_shape_[tree_.order[node.first + i]];
-        return costs_.finished_leaf(shapes, node);
+                shapes += task_.cost_of_shape[tree_.order[node.first + i]];
+        return task_.costs.finished_leaf(shapes, node);
     }
 
+    const WidePlanTask<W>& task_;
     const BinaryTree& tree_;
-    RawAlignedVector<typename WideCollapse<W>::Plan>& plans_;
-    const TreeCosts& costs_;
-    double wide_node_;
-    std::span<const float> cost_of_shape_;
+    double per_area_;
     int parallel_levels_;
 };
+
+template <int W>
+double plan_nodes(const WidePlanTask<W>& task) {
+    typename WidePlanner<W>::SlotCosts root;
+    WidePlanner<W>(task).plan(0, 0, root);
+    return root.least[W];
+}
+double plan_4(const WidePlanTask<4>& task) { return plan_nodes(task); }
+double plan_8(const WidePlanTask<8>& task) { return plan_nodes(task); }
+double plan_16(const WidePlanTask<16>& task) { return plan_nodes(task); }
+
+}  // namespace HWY_NAMESPACE
+}  // namespace crofton
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace crofton {
+namespace {
+HWY_EXPORT(plan_4);
+HWY_EXPORT(plan_8);
+HWY_EXPORT(plan_16);
+
+double plan_nodes(const WidePlanTask<4>& task) { return HWY_DYNAMIC_DISPATCH(plan_4)(task); }
+double plan_nodes(const WidePlanTask<8>& task) { return HWY_DYNAMIC_DISPATCH(plan_8)(task); }
+double plan_nodes(const WidePlanTask<16>& task) { return HWY_DYNAMIC_DISPATCH(plan_16)(task); }
+
+}  // namespace
 
 template <int W>
 WideCollapse<W>::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
                               std::span<const float> cost_of_shape)
     : tree_(tree), plans_(tree.nodes.size()) {
-    SlotCosts<W> root;
-    WidePlanner<W>(*this, costs, wide_node, cost_of_shape).plan(0, 0, root);
-    const double area = half_area(tree.nodes[0].bounds);
-    if (area > 0) expected_cost_ = root.least[1] / area;
+    expected_cost_ =
+        plan_nodes(WidePlanTask<W>{tree, costs, wide_node, cost_of_shape, plans_.data()});
 }
 
 template <int W>
@@ -111,11 +167,12 @@ typename WideCollapse<W>::Children WideCollapse<W>::children(uint32_t root) cons
     while (left_open > 0) {
         const auto [n, slots] = open[--left_open];
         const BinaryTree::Node& node = tree_.nodes[n];
-        if (n != root && (slots == 1 || node.leaf() || (plans_[n][size_t(slots)] & own_node))) {
+        const uint8_t plan = plans_[n][size_t(slots - 1)];
+        if (n != root && (slots == 1 || node.leaf() || (plan & own_node))) {
             list.node[list.count++] = n;
             continue;
         }
-        const int left = plans_[n][size_t(slots)] & ~own_node;
+        const int left = plan & ~own_node;
         open[left_open++] = {node.right, slots - left};
         open[left_open++] = {node.left, left};
     }
@@ -127,3 +184,4 @@ template class WideCollapse<8>;
 template class WideCollapse<16>;
 
 }  // namespace crofton
+#endif

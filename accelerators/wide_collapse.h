@@ -23,9 +23,9 @@ class WideCollapse {
         const uint32_t* end() const { return node.data() + count; }
     };
 
-    /// @param tree       children after their parents, as collapse_leaves leaves it; not empty;
-    /// must
-    ///                   outlive this
+    /// @param tree       its leaves finished, as collapse_leaves leaves them; not empty; must
+    /// outlive
+    ///                   this
     /// @param wide_node  nominal ns of testing all children of a wide node
     WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
                  std::span<const float> cost_of_shape);
@@ -36,18 +36,25 @@ class WideCollapse {
     /// Nominal ns of a random line that meets the root.
     double expected_cost() const { return expected_cost_; }
 
-  private:
-    /// For k slots, k from 2 to W: how many the left child gets; with the high bit, the node costs
-    /// less as a wide node of its own in one slot.
-    using Plan = std::array<uint8_t, width + 1>;
+    /// For k slots, from 1 to W, at k - 1: how many the left child gets; with own_node, the node
+    /// costs less as a wide node of its own in one slot.
+    using Plan = std::array<uint8_t, width>;
     static constexpr uint8_t own_node = 0x80;
 
+  private:
     const BinaryTree& tree_;
     RawAlignedVector<Plan> plans_;
     double expected_cost_ = 0;
+};
 
-    template <int>
-    friend class WidePlanner;
+/// What is planned, and where the plans of inner nodes go.
+template <int W>
+struct WidePlanTask {
+    const BinaryTree& tree;
+    const TreeCosts& costs;
+    double wide_node;
+    std::span<const float> cost_of_shape;
+    typename WideCollapse<W>::Plan* plans;
 };
 
 extern template class WideCollapse<4>;

@@ -4,6 +4,7 @@
 
 #include "accelerators/wide_bvh.h"
 #include "accelerators/wide_collapse.h"
+#include "accelerators/wide_quick.h"
 #include "framework/parallel.h"
 
 namespace crofton {
@@ -57,147 +58,144 @@ void set_node(QuantisedNode<W>& node, const WideChildren& children) {
 /// What leaves are written from.
 template <class Set>
 using PackedFrom = std::conditional_t<std::is_same_v<Set, TriangleSet>, PatchCorners, const Set&>;
+/// @param quick  see PatchCorners
+template <class Set>
+PackedFrom<Set> packed_from(const Set& set, bool quick) {
+    if constexpr (std::is_same_v<Set, TriangleSet>)
+        return PatchCorners(set, quick);
+    else
+        return set;
+}
 
-/// Writes a binary tree as wide nodes: first it is measured what every subtree takes, then each is
-/// written where it belongs, near the root of a large tree those of one node at once.
+/// Writes a binary tree as wide nodes: first it is found where everything goes, then all nodes are
+/// written at once. The children of a node lie side by side and its leaves before theirs; then come
+/// their subtrees.
 template <class Set, class Node>
 class WideWriter {
     using Collapse = WideCollapse<Node::width>;
 
   public:
-    WideWriter(WideBvh<Set>& bvh, const BinaryTree& tree, const Collapse& collapse,
-               const PackedFrom<Set>& corners)
-        : leaves_(bvh.leaves),
-          stats_(bvh.stats),
-          nodes_(bvh.nodes),
-          tree_(tree),
-          collapse_(collapse),
-          corners_(corners),
-          parallel_levels_(parallel_levels(tree.nodes.size()) / 2),
-          sizes_(tree.nodes.size()) {}
+    WideWriter(WideBvh<Set>& bvh, const BinaryTree& tree, const Collapse& collapse)
+        : bvh_(bvh), tree_(tree), collapse_(collapse) {}
 
-    void write() {
-        const Size all = measure(0, 0);
-        if (all.blocks >= WideChild::max_first)
-            throw InputError("wide_bvh: more leaves than 2^26; use bvh");
-        stats_.N_IN = all.nodes + 1;
-        stats_.N_V = all.leaves;
-        stats_.N_OIV = all.shapes;
-        stats_.depth = all.height;
-        written_ = nodes_.template resize<Node>(all.nodes + 1);
+    /// With leaves written from `corners`.
+    void write(const PackedFrom<Set>& corners) {
+        find_places([](Place& place, const BinaryTree::Node& leaf) {
+            place.block += blocks(leaf);
+            place.id += listed_ids(leaf);
+            return uint64_t(leaf.count);
+        });
         if constexpr (triangles)
-            leaves_.resize(all.blocks, all.ids);
+            bvh_.leaves.resize(end_.block, end_.id);
         else
-            leaves_.resize(all.shapes);
-        write(0, 0, {1, 0, 0}, 0);
+            bvh_.leaves.resize(end_.block);
+        write_nodes([&](Place& place, const BinaryTree::Node& leaf) {
+            const std::span shapes(tree_.order.data() + leaf.first, leaf.count);
+            const Place at = place;
+            place.block += blocks(leaf);
+            place.id += listed_ids(leaf);
+            if constexpr (triangles)
+                bvh_.leaves.put(corners, shapes, at.block, at.id);
+            else
+                bvh_.leaves.put(shapes, at.block);
+            return WideChild::leaf(at.block, blocks(leaf));
+        });
+    }
+    /// With the patches of a quick build, which are where they belong.
+    void write(QuickTree& quick) {
+        find_places([](Place& place, const BinaryTree::Node& leaf) {
+            ++place.block;
+            return uint64_t(leaf.count);
+        });
+        write_nodes(
+            [](Place&, const BinaryTree::Node& leaf) { return WideChild::leaf(leaf.first, 1); });
+        bvh_.leaves = TrianglePatches(std::move(quick.patches), std::move(quick.ids));
     }
 
   private:
     static constexpr bool triangles = std::is_same_v<Set, TriangleSet>;
-    /// Below a wide node. Blocks are patches or references; ids those that patches list.
-    struct Size {
-        uint32_t nodes, blocks, ids, shapes, leaves, height;
-    };
-    /// Where the next node, block and id go.
+    /// Where the next block and id go. Blocks are patches or references; ids those that patches
+    /// list.
     struct Place {
-        uint32_t node, block, id;
-        void skip(const Size& s) {
-            node += s.nodes;
-            block += s.blocks;
-            id += s.ids;
-        }
+        uint32_t block = 0, id = 0;
+    };
+    struct Wide {
+        Place leaves;
+        uint32_t children;  ///< where they begin in the list of all
+        uint32_t count;     ///< of them
+        uint32_t inner;     ///< index of the first that is an inner node; the others follow
     };
 
     static uint32_t blocks(const BinaryTree::Node& leaf) {
         return triangles ? leaf.blocks() : leaf.count;
     }
-    std::span<const uint32_t> shapes(const BinaryTree::Node& leaf) const {
-        return {tree_.order.data() + leaf.first, leaf.count};
-    }
-    template <class Body>
-    void for_each(size_t n, int depth, const Body& body) const {
-        if (depth < parallel_levels_)
-            return parallel_for(n, 1, [&](size_t begin, size_t end) {
-                for (size_t i = begin; i < end; ++i) body(i);
-            });
-        for (size_t i = 0; i < n; ++i) body(i);
+    static uint32_t listed_ids(const BinaryTree::Node& leaf) {
+        return triangles ? TrianglePatches::listed_ids(leaf.count) : 0;
     }
 
-    /// Recursion is as deep as the tree, which is bounded.
-    Size measure(uint32_t n, int depth) {
-        const typename Collapse::Children children = collapse_.children(n);
-        std::array<Size, Node::width> sizes;
-        for_each(children.count, depth, [&](size_t i) {
-            const BinaryTree::Node& node = tree_.nodes[children.node[i]];
-            if (node.leaf()) {
-                sizes[i] = {0, blocks(node), TrianglePatches::listed_ids(node.count), node.count, 1,
-                            1};
-            } else {
-                sizes[i] = measure(children.node[i], depth + 1);
-                ++sizes[i].nodes;
-                ++sizes[i].height;
-            }
-        });
-        Size sum{};
-        for (size_t i = 0; i < children.count; ++i) {
-            sum.nodes += sizes[i].nodes;
-            sum.blocks += sizes[i].blocks;
-            sum.ids += sizes[i].ids;
-            sum.shapes += sizes[i].shapes;
-            sum.leaves += sizes[i].leaves;
-            sum.height = std::max(sum.height, sizes[i].height);
-        }
-        return sizes_[n] = sum;
-    }
-
-    /// A node's leaves come first and its children side by side, then their subtrees.
-    /// @param to     of the node itself
-    /// @param place  of all below it
-    void write(uint32_t n, uint32_t to, Place place, int depth) {
-        const typename Collapse::Children children = collapse_.children(n);
-        WideChildren list;
-        struct Subtree {
-            uint32_t from, to;
-            Place place;
+    /// @param skip  of (Place&, leaf): moves the place behind a leaf. @return shapes in it
+    template <class Skip>
+    void find_places(const Skip& skip) {
+        struct Open {
+            uint32_t node, wide, depth;
         };
-        std::array<Subtree, Node::width> subtrees;
-        size_t inner = 0;
-        for (const uint32_t c : children) {
-            const BinaryTree::Node& node = tree_.nodes[c];
-            list.bounds[list.count] = node.bounds;
-            uint32_t& child = list.child[list.count++];
-            if (node.leaf()) {
-                child = WideChild::leaf(place.block, blocks(node));
-                if constexpr (triangles)
-                    leaves_.put(corners_, shapes(node), place.block, place.id);
-                else
-                    leaves_.put(shapes(node), place.block);
-                place.block += blocks(node);
-                place.id += TrianglePatches::listed_ids(node.count);
-            } else {
-                child = place_of<Node>(place.node);
-                subtrees[inner++] = {c, place.node++, {}};
+        StructureStatistics& stats = bvh_.stats;
+        std::vector<Open> open{{0, 0, 1}};
+        wide_.resize(1);
+        while (!open.empty()) {
+            const Open o = open.back();
+            open.pop_back();
+            stats.depth = std::max<uint64_t>(stats.depth, o.depth);
+            const auto list = collapse_.children(o.node);
+            wide_[o.wide] = {end_, uint32_t(children_.size()), list.count, uint32_t(wide_.size())};
+            children_.insert(children_.end(), list.begin(), list.end());
+            const auto begin = ptrdiff_t(open.size());
+            for (const uint32_t c : list) {
+                const BinaryTree::Node& child = tree_.nodes[c];
+                if (child.leaf()) {
+                    stats.N_OIV += skip(end_, child);
+                    ++stats.N_V;
+                    continue;
+                }
+                open.push_back({c, uint32_t(wide_.size()), o.depth + 1});
+                wide_.emplace_back();
             }
+            // The first child's subtree comes first.
+            std::reverse(open.begin() + begin, open.end());
         }
-        set_node(written_[to], list);
-        for (size_t i = 0; i < inner; ++i) {
-            subtrees[i].place = place;
-            place.skip(sizes_[subtrees[i].from]);
-        }
-        for_each(inner, depth, [&](size_t i) {
-            write(subtrees[i].from, subtrees[i].to, subtrees[i].place, depth + 1);
+        if (end_.block >= WideChild::max_first)
+            throw InputError("wide_bvh: more leaves than 2^26; use bvh");
+        stats.N_IN = wide_.size();
+    }
+
+    /// @param put  of (Place&, leaf): writes a leaf, and moves the place behind it. @return its
+    /// WideChild
+    template <class Put>
+    void write_nodes(const Put& put) {
+        const std::span<Node> nodes = bvh_.nodes.template resize<Node>(wide_.size());
+        parallel_for(wide_.size(), 64, [&](size_t begin, size_t end) {
+            for (size_t i = begin; i < end; ++i) {
+                const Wide& wide = wide_[i];
+                WideChildren list;
+                Place place = wide.leaves;
+                uint32_t inner = wide.inner;
+                for (uint32_t k = 0; k < wide.count; ++k) {
+                    const BinaryTree::Node& child = tree_.nodes[children_[wide.children + k]];
+                    list.bounds[k] = child.bounds;
+                    list.child[k] = child.leaf() ? put(place, child) : place_of<Node>(inner++);
+                }
+                list.count = wide.count;
+                set_node(nodes[i], list);
+            }
         });
     }
 
-    WideLeaves<Set>& leaves_;
-    StructureStatistics& stats_;
-    WideNodes& nodes_;
-    std::span<Node> written_;  // nodes_, once there is room
+    WideBvh<Set>& bvh_;
     const BinaryTree& tree_;
     const Collapse& collapse_;
-    const PackedFrom<Set>& corners_;
-    int parallel_levels_;
-    RawAlignedVector<Size> sizes_;  // of what becomes a wide node
+    std::vector<Wide> wide_;
+    std::vector<uint32_t> children_;  ///< of all wide nodes: nodes of the binary tree
+    Place end_;                       ///< of all leaves
 };
 
 }  // namespace crofton

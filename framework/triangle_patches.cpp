@@ -207,8 +207,13 @@ class PointTable {
             }
         });
     }
-    /// The lowest point at the position of point p.
-    uint32_t first(size_t p) const { return table_[place_[p]]; }
+    /// By point: the lowest one at its position. Called once, when all are in.
+    const uint32_t* first() {
+        parallel_for(place_.size(), 1 << 14, [&](size_t begin, size_t end) {
+            for (size_t p = begin; p < end; ++p) place_[p] = table_[place_[p]];
+        });
+        return place_.data();
+    }
 
   private:
     template <class Equal>
@@ -237,24 +242,30 @@ class PointTable {
 };
 }  // namespace
 
-PatchCorners::PatchCorners(const TriangleSet& set)
-    : coordinates_(set.coordinates()), triangles_(set.size()) {
-    if (set.size() == 0) return;
+PatchCorners::PatchCorners(const TriangleSet& set, bool quick)
+    : coordinates_(set.coordinates()), triangles_(set.triangles()) {
+    // A closed mesh has half as many corners as triangles.
+    if (set.size() == 0 || (quick && set.vertices() < 0.7 * set.size())) return;
+    merged_.resize(set.size());
+    triangles_ = merged_.data();
     const uint32_t* const begin = set.triangles()[0].data();
     const size_t corners = size_t{3} * set.size();
-    const auto [low, high] = std::minmax_element(begin, begin + corners);
-    const uint32_t least = *low;
-    const auto number = [&](const auto& table, const auto& point, const auto& corner) {
+    uint32_t least = ~0u, most = 0;
+    for (size_t i = 0; i < corners; ++i)
+        least = std::min(least, begin[i]), most = std::max(most, begin[i]);
+    const auto number = [&](PointTable table, const auto& point, const auto& corner) {
+        const uint32_t* const first = table.first();
         parallel_for(set.size(), 1 << 13, [&](size_t from, size_t to) {
+            uint32_t* const to_numbers = merged_[0].data();
             for (size_t i = 3 * from; i < 3 * to; ++i)
-                triangles_[i / 3][i % 3] = uint32_t(corner(table.first(point(i))));
+                to_numbers[i] = uint32_t(corner(first[point(i)]));
         });
     };
-    if (*high - least < corners) {
+    if (most - least < corners) {
         const auto corner = [&](size_t point) { return size_t(least + point); };
-        const PointTable table(*high - least + size_t{1}, coordinates_, corner);
         number(
-            table, [&](size_t i) { return size_t(begin[i] - least); }, corner);
+            PointTable(most - least + size_t{1}, coordinates_, corner),
+            [&](size_t i) { return size_t(begin[i] - least); }, corner);
     } else {
         // A few triangles of a large mesh.
         const auto corner = [&](size_t point) { return size_t(begin[point]); };

@@ -55,8 +55,11 @@ class PatchCorners {
   public:
     using Numbers = std::array<uint32_t, 3>;
     /// O(N); must not outlive the set.
-    explicit PatchCorners(const TriangleSet& set);
-    const Numbers* triangles() const { return triangles_.data(); }
+    /// @param quick  corners go by their indices where the triangles share so many that they do
+    /// well
+    explicit PatchCorners(const TriangleSet& set, bool quick = false);
+    PatchCorners(const PatchCorners&) = delete;
+    const Numbers* triangles() const { return triangles_; }
     /// Three floats a number.
     const float* coordinates() const { return coordinates_; }
     /// How many patches some shapes fill.
@@ -64,12 +67,17 @@ class PatchCorners {
 
   private:
     const float* coordinates_;
-    RawAlignedVector<Numbers> triangles_;
+    const Numbers* triangles_;          ///< the set's indices, or
+    RawAlignedVector<Numbers> merged_;  ///< those of the first at each place
 };
 
 /// Leaves of one structure over triangles, as patches: a copy in the order of the leaves.
 class TrianglePatches {
   public:
+    TrianglePatches() = default;
+    /// Of patches that are made, and the ids that they list.
+    TrianglePatches(RawAlignedVector<TrianglePatch> patches, RawAlignedVector<uint32_t> ids)
+        : patches_(std::move(patches)), ids_(std::move(ids)) {}
     /// Appends a leaf. @return its first patch; the others follow
     uint32_t add(const PatchCorners& corners, std::span<const uint32_t> shapes);
     /// Makes room; `put` fills it, in any order.

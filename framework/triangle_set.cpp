@@ -8,6 +8,7 @@
 
 #include "framework/cost.h"
 #include "framework/error.h"
+#include "framework/triangle_slack.h"
 
 namespace crofton {
 namespace {
@@ -75,25 +76,16 @@ Bounds3 TriangleSet::corner_bounds(uint32_t i) const {
 }
 
 Bounds3 TriangleSet::bounds(uint32_t i) const {
-    // As grown(corner_bounds(i), slack(i)), with the axes side by side: builds ask it of every one.
     const hn::FixedTag<float, 4> d;
     const float* const at = coordinates();
     const auto corner = [&](size_t k) { return hn::LoadU(d, at + size_t{3} * triangles_[i][k]); };
     const auto a = corner(0), b = corner(1), c = corner(2);
-    const auto lower = hn::Min(hn::Min(a, b), c), upper = hn::Max(hn::Max(a, b), c);
-    const auto ulp = hn::Set(d, 0x1p-24f);
-    const auto u = hn::Sub(hn::Mul(upper, ulp), hn::Mul(lower, ulp));
-    alignas(16) float e[4];
-    hn::Store(u, d, e);
-    const auto most = hn::Set(d, std::max({e[0], e[1], e[2]}) * 2.6f);
-    const auto slack = hn::Add(hn::Mul(u, hn::Set(d, 1.1f)), most);
-    const auto share = hn::Set(d, 0x1p-23f), limit = hn::Set(d, std::numeric_limits<float>::max());
-    const auto low = hn::Sub(lower, hn::Add(hn::Mul(hn::Abs(lower), share), slack));
-    const auto high = hn::Add(upper, hn::Add(hn::Mul(hn::Abs(upper), share), slack));
-    alignas(16) float l[4], h[4];
-    hn::Store(hn::Max(low, hn::Neg(limit)), d, l);
-    hn::Store(hn::Min(high, limit), d, h);
-    return {{l[0], l[1], l[2]}, {h[0], h[1], h[2]}};
+    const auto box =
+        HWY_NAMESPACE::with_slack(hn::Min(hn::Min(a, b), c), hn::Max(hn::Max(a, b), c));
+    alignas(16) float l[4], u[4];
+    hn::Store(box.lower, d, l);
+    hn::Store(box.upper, d, u);
+    return {{l[0], l[1], l[2]}, {u[0], u[1], u[2]}};
 }
 
 Vec3f TriangleSet::slack(uint32_t i) const { return slack_of(corner_bounds(i)); }

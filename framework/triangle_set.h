@@ -54,6 +54,8 @@ class TriangleSet {
     TriangleSet ids_only() const { return TriangleSet({}, {}, ids_); }
 
     const Indices* triangles() const { return triangles_.data(); }
+    /// Of the mesh that it is, or is a part of.
+    size_t vertices() const { return positions_->size() - 1; }
     /// Vertices as packed floats; one more may be read behind the last.
     const float* coordinates() const { return vertices_->data(); }
 

@@ -372,10 +372,11 @@ double check_collapse(const BinaryTree& tree, const TreeCosts& costs) {
         const auto children = collapse.children(n);
         return std::vector<uint32_t>(children.begin(), children.end());
     });
-    CHECK(planned == Approx(collapse.expected_cost()).epsilon(1e-9));
+    // It is planned in float.
+    CHECK(planned == Approx(collapse.expected_cost()).epsilon(1e-5));
     const double simple =
         wide_cost(tree, costs, W, [&](uint32_t n) { return open_largest(tree, n, W); });
-    CHECK(planned <= simple * (1 + 1e-9));
+    CHECK(planned <= simple * (1 + 1e-5));
     return planned;
 }
 
@@ -389,8 +390,8 @@ TEST_CASE("the cost of a wide tree is what its nodes add up to, and the least of
         INFO(name);
         const double four = check_collapse<4>(tree, costs), eight = check_collapse<8>(tree, costs),
                      sixteen = check_collapse<16>(tree, costs);
-        CHECK(eight <= four);
-        CHECK(sixteen <= eight);
+        CHECK(eight <= four * (1 + 1e-5));
+        CHECK(sixteen <= eight * (1 + 1e-5));
     }
 }
 

@@ -1,0 +1,36 @@
+#pragma once
+
+#include "accelerators/tree_build.h"
+#include "framework/triangle_patches.h"
+
+namespace crofton {
+
+/// Triangles in the order of Morton codes, see MortonKeys.
+struct SortedKeys {
+    const uint64_t* begin;
+    size_t size;
+    uint64_t index_mask;  ///< the bits of a key that say which triangle; the others are the code
+    Bounds3 bounds;       ///< of all triangles
+
+    uint64_t key(size_t i) const { return begin[i]; }
+    uint32_t index(size_t i) const { return uint32_t(begin[i] & index_mask); }
+};
+
+/// What the quick build of a wide_bvh over triangles makes before its nodes: a binary tree in
+/// Morton order (Lauterbach et al. 2009: "Fast BVH construction on GPUs") whose leaves are patches.
+/// It is made from the leaves up, in one pass over the sorted keys (after Apetrei 2014: "Fast and
+/// simple agglomerative LBVH construction").
+struct QuickTree {
+    BinaryTree tree;  ///< a leaf's `first` is its patch; there is no order
+    RawAlignedVector<TrianglePatch> patches;
+    RawAlignedVector<uint32_t> ids;  ///< that patches list
+    uint32_t triangles = 0;
+};
+
+/// Triangles are joined in a patch where they fit one and the area heuristic says so. Same result
+/// for any number of threads.
+/// @param max_leaf_size  triangles in a leaf at most, as far as a patch has room
+QuickTree build_quick_tree(const SortedKeys& keys, const PatchCorners& corners,
+                           const TreeCosts& costs, int max_leaf_size);
+
+}  // namespace crofton
