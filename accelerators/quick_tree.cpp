@@ -313,16 +313,21 @@ QuickTree build_quick_tree(const PatchCorners& corners, const SortedKeys& keys,
     QuickTree out;
     out.tree.nodes.resize(1);  // the root's place
     QuickBuilder builder(corners, keys, costs, areas, most, out);
+    const auto make_room = [](QuickTree& tree, size_t triangles) {
+        tree.patches.reserve(triangles / 4);
+        tree.tree.nodes.reserve(triangles / 2);
+    };
     if (threads() == 1 || begins.size() == 1) {
-        out.patches.reserve(keys.size / 4);
-        out.tree.nodes.reserve(keys.size / 2);
+        make_room(out, keys.size);
         for (size_t i = 0; i < begins.size(); ++i) roots[i] = builder.build(begins[i], end(i));
     } else {
         std::vector<QuickTree> parts(begins.size());
         parallel_for(begins.size(), 1, [&](size_t from, size_t to) {
-            for (size_t i = from; i < to; ++i)
+            for (size_t i = from; i < to; ++i) {
+                make_room(parts[i], end(i) - begins[i]);
                 roots[i] = QuickBuilder(corners, keys, costs, areas, most, parts[i])
                                .build(begins[i], end(i));
+            }
         });
         append(parts, roots, out);
     }
@@ -337,14 +342,36 @@ QuickTree build_quick_tree(const PatchCorners& corners, const SortedKeys& keys,
 HWY_AFTER_NAMESPACE();
 
 #if HWY_ONCE
+#include "accelerators/morton.h"
+
 namespace crofton {
 HWY_EXPORT(build_quick_tree);
 
-QuickTree build_quick_tree(const SortedKeys& keys, const PatchCorners& corners,
+namespace {
+/// Boxes of the triangles' corners; none of those that have corners at infinity or nowhere.
+MortonKeys keys_of(const TriangleSet& set) {
+    return MortonKeys(set.size(), [&set](size_t i, Box4& box) {
+        const Box4::D d;
+        const TriangleSet::Indices& t = set.triangles()[i];
+        const auto at = [&](size_t k) {
+            return hn::LoadU(d, set.coordinates() + size_t{3} * t[k]);
+        };
+        const auto a = at(0), b = at(1), c = at(2);
+        box = Box4(hn::Min(hn::Min(a, b), c), hn::Max(hn::Max(a, b), c));
+        const auto zero = hn::Zero(d);
+        const auto nothing = hn::Add(hn::Add(hn::Mul(a, zero), hn::Mul(b, zero)), hn::Mul(c, zero));
+        return hn::AllTrue(d, hn::Or(hn::Eq(nothing, zero), hn::Not(hn::FirstN(d, 3))));
+    });
+}
+
+}  // namespace
+
+QuickTree build_quick_tree(const TriangleSet& set, const PatchCorners& corners,
                            const TreeCosts& costs, int max_leaf_size) {
-    if (keys.size == 0) return {};
+    const MortonKeys keys = keys_of(set);
+    if (keys.size() == 0) return {};
     const uint32_t most = std::min(uint32_t(max_leaf_size), TrianglePatch::width);
-    return HWY_DYNAMIC_DISPATCH(build_quick_tree)(corners, keys, costs, most);
+    return HWY_DYNAMIC_DISPATCH(build_quick_tree)(corners, keys.sorted(), costs, most);
 }
 
 }  // namespace crofton

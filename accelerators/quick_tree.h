@@ -30,7 +30,7 @@ struct QuickTree {
 /// Triangles are joined in a patch where they fit one and the area heuristic says so. Same result
 /// for any number of threads.
 /// @param max_leaf_size  triangles in a leaf at most, as far as a patch has room
-QuickTree build_quick_tree(const SortedKeys& keys, const PatchCorners& corners,
+QuickTree build_quick_tree(const TriangleSet& set, const PatchCorners& corners,
                            const TreeCosts& costs, int max_leaf_size);
 
 }  // namespace crofton

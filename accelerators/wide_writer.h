@@ -2,9 +2,9 @@
 
 #include <array>
 
+#include "accelerators/quick_tree.h"
 #include "accelerators/wide_bvh.h"
 #include "accelerators/wide_collapse.h"
-#include "accelerators/wide_quick.h"
 #include "framework/parallel.h"
 
 namespace crofton {

@@ -117,6 +117,7 @@ ObjectiveSpec read_objective(ConfigTable table) {
 RunSpec read_run(ConfigTable table) {
     RunSpec run;
     run.repeats = table.integer("repeats", run.repeats, 1, 10000);
+    run.builds = table.integer("builds", run.builds, 1, 10000);
     run.threads = table.integer("threads", run.threads, 0, 4096);
     run.pin = table.boolean("pin", run.pin);
     std::vector<std::string> isas = available_isas();

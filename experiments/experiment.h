@@ -29,6 +29,7 @@ struct WorkloadSpec {
 
 struct RunSpec {
     int64_t repeats = 7;
+    int64_t builds = 1;  ///< of each structure; its time is their median
     int64_t threads = 1;
     bool pin = true;
     std::string isa;  ///< "" = the widest of this machine

@@ -109,6 +109,7 @@ class Run {
         if (needs_calibration()) ensure_calibration();
         for (const Variant& variant : spec_.variants)
             if (!variant.chooses) build(variant);
+        if (spec_.run.builds > 1) build_again();
         for (size_t i = 0; i < spec_.workloads.size(); ++i) run_workload(i);
         if (!output_.explanations.empty()) {
             std::string text;
@@ -168,6 +169,18 @@ class Run {
         for (const std::string& warning : built.assembly.warnings)
             output_.notes.push_back(variant.name + ": " + warning);
         built_.push_back(std::move(built));
+    }
+
+    /// All of them in turns: what a program builds first is dearer.
+    void build_again() {
+        progress_.step("building again");
+        std::vector<std::vector<double>> seconds(built_.size());
+        for (int64_t i = 0; i < spec_.run.builds; ++i)
+            for (size_t k = 0; k < built_.size(); ++k)
+                seconds[k].push_back(i == 0 ? built_[k].assembly.build_s
+                                            : assembled(*built_[k].spec).build_s);
+        for (size_t k = 0; k < built_.size(); ++k)
+            built_[k].assembly.build_s = median_interval(seconds[k]).median;
     }
 
     double median_build_s(const Variant& variant) const {
@@ -698,8 +711,8 @@ size_t step_count(const Experiment& experiment) {
     const auto early = size_t(std::count_if(experiment.variants.begin(), experiment.variants.end(),
                                             [](const Variant& v) { return !v.exact; }));
     const size_t pictures = experiment.run.pictures ? 1 + early + variants : 0;
-    return 1 + variants + experiment.workloads.size() * (3 + size_t(experiment.run.repeats)) +
-           pictures;
+    return 1 + variants + size_t(experiment.run.builds > 1) +
+           experiment.workloads.size() * (3 + size_t(experiment.run.repeats)) + pictures;
 }
 
 std::vector<std::string> hits_paths(const std::string& path, const std::string& variant,

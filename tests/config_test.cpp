@@ -231,6 +231,8 @@ TEST_CASE("config: a mode is that of the run, unless a variant has its own") {
     CHECK(error_of(scene + "[[variant]]\nname = \"a\"\nmode = \"exakt\"\n")
               .find("did you mean 'exact'") != std::string::npos);
     CHECK(error_of(scene + "[run]\nplot = true\n").find("needs 'oracle'") != std::string::npos);
+    CHECK(read(scene + "[run]\nbuilds = 3\n").experiments.at(0).run.builds == 3);
+    CHECK(error_of(scene + "[run]\nbuilds = 0\n").find("builds") != std::string::npos);
 }
 
 TEST_CASE("config: a peer is known by name, and told from our structures") {

@@ -9,7 +9,7 @@
 
 #include "accelerators/leaves.h"
 #include "accelerators/morton.h"
-#include "accelerators/wide_quick.h"
+#include "accelerators/quick_tree.h"
 #include "framework/registry.h"
 #include "tests/catch.h"
 #include "tests/hard_scenes.h"
