@@ -62,6 +62,9 @@ struct TreeCosts {
     /// How many blocks given shapes fill, where that depends on which; null: leaf_width tells.
     std::function<uint32_t(std::span<const uint32_t>)> blocks = {};
     static constexpr uint32_t most_counted = 8;  ///< shapes that `blocks` is asked about
+    /// Whether builders ask it, too, before they make a leaf, which takes them longer: shapes
+    /// differ in how many fill a block.
+    bool blocks_vary = false;
     double leaf(double sum, uint32_t count) const {
         return leaf_width > 1
                    ? leaf_block * ((count + leaf_width - 1) / leaf_width) + leaf_shape * count

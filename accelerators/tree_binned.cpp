@@ -82,20 +82,22 @@ class BinnedBuilder {
             return may_be_leaf ? Halves() : halve_references(references, range);
         };
         if (bins_ == 0 || depth >= median_depth) return halve();
-        if (may_be_leaf && is_surely_leaf(references, range)) return {};
+        const double as_leaf = may_be_leaf ? leaf_cost(references) : 0;
+        if (may_be_leaf && is_surely_leaf(references, range, as_leaf)) return {};
         const int bins = bins_for(n, bins_);
         const Binning binning(range.centroids, bins);
         const ObjectSplit split = find_object_split(references, range, binning, bins, costs_);
         if (split.axis < 0) return halve();
-        if (may_be_leaf && leaf_cost(references) <= split.cost) return {};
+        if (may_be_leaf && as_leaf <= split.cost) return {};
         return divide(references, binning, split);
     }
 
     /// Whether no split of what is tested at once anyway can pay: its children are at least as
     /// large as the largest and the smallest reference. Spares half of all evaluations.
-    bool is_surely_leaf(std::span<const BuildReference> references,
-                        const ReferenceBounds& range) const {
-        if (costs_.leaf_width == 1 || references.size() > size_t(costs_.leaf_width)) return false;
+    /// @param as_leaf  what a leaf of them costs
+    bool is_surely_leaf(std::span<const BuildReference> references, const ReferenceBounds& range,
+                        double as_leaf) const {
+        if (costs_.leaf_width == 1 || as_leaf > costs_.leaf_block) return false;
         double least = std::numeric_limits<double>::infinity(), most = 0;
         for (const BuildReference& r : references) {
             const double area = half_area(r.bounds);
@@ -107,6 +109,11 @@ class BinnedBuilder {
     }
 
     double leaf_cost(std::span<const BuildReference> references) const {
+        if (costs_.blocks_vary && references.size() <= TreeCosts::most_counted) {
+            uint32_t shapes[TreeCosts::most_counted];
+            for (size_t i = 0; i < references.size(); ++i) shapes[i] = references[i].shape;
+            return costs_.leaf(0, std::span(shapes, references.size()));
+        }
         double sum = 0;
         for (const BuildReference& r : references) sum += r.cost;
         return costs_.leaf(sum, uint32_t(references.size()));

@@ -209,6 +209,11 @@ WideBvh<Set> WideBvh<Set>::build(const Set& set, const WideBvhParameters& p) {
         costs.blocks = [&](std::span<const uint32_t> shapes) {
             return corners.count_patches(shapes);
         };
+        // A patch has room for two triangles that share nothing.
+        const double corners_each = double(corners.distinct()) / std::max(1u, set.size());
+        costs.leaf_width =
+            int(std::clamp(TrianglePatch::width / corners_each, 2.0, double(costs.leaf_width)));
+        costs.blocks_vary = corners_each > 0.75;
         if (is_quick) quick = build_quick_tree(set, corners, costs, p.max_leaf_size);
     }
     const BinaryTree other = is_quick ? BinaryTree() : build_tree(set, p, costs);

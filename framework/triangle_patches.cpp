@@ -208,11 +208,11 @@ class PointTable {
         });
     }
     /// By point: the lowest one at its position. Called once, when all are in.
-    const uint32_t* first() {
+    std::span<const uint32_t> first() {
         parallel_for(place_.size(), 1 << 14, [&](size_t begin, size_t end) {
             for (size_t p = begin; p < end; ++p) place_[p] = table_[place_[p]];
         });
-        return place_.data();
+        return place_;
     }
 
   private:
@@ -243,7 +243,7 @@ class PointTable {
 }  // namespace
 
 PatchCorners::PatchCorners(const TriangleSet& set, bool quick)
-    : coordinates_(set.coordinates()), triangles_(set.triangles()) {
+    : coordinates_(set.coordinates()), distinct_(set.vertices()), triangles_(set.triangles()) {
     // A closed mesh has half as many corners as triangles.
     if (set.size() == 0 || (quick && set.vertices() < 0.7 * set.size())) return;
     merged_.resize(set.size());
@@ -254,7 +254,9 @@ PatchCorners::PatchCorners(const TriangleSet& set, bool quick)
     for (size_t i = 0; i < corners; ++i)
         least = std::min(least, begin[i]), most = std::max(most, begin[i]);
     const auto number = [&](PointTable table, const auto& point, const auto& corner) {
-        const uint32_t* const first = table.first();
+        const std::span<const uint32_t> first = table.first();
+        distinct_ = 0;
+        for (size_t p = 0; p < first.size(); ++p) distinct_ += first[p] == p;
         parallel_for(set.size(), 1 << 13, [&](size_t from, size_t to) {
             uint32_t* const to_numbers = merged_[0].data();
             for (size_t i = 3 * from; i < 3 * to; ++i)

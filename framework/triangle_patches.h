@@ -60,6 +60,9 @@ class PatchCorners {
     explicit PatchCorners(const TriangleSet& set, bool quick = false);
     PatchCorners(const PatchCorners&) = delete;
     const Numbers* triangles() const { return triangles_; }
+    /// Different numbers, or somewhat more: half as many as there are triangles in a closed mesh,
+    /// three times as many where they share nothing.
+    size_t distinct() const { return distinct_; }
     /// Three floats a number.
     const float* coordinates() const { return coordinates_; }
     /// How many patches some shapes fill.
@@ -67,6 +70,7 @@ class PatchCorners {
 
   private:
     const float* coordinates_;
+    size_t distinct_;
     const Numbers* triangles_;          ///< the set's indices, or
     RawAlignedVector<Numbers> merged_;  ///< those of the first at each place
 };

@@ -13,6 +13,7 @@
 #include "framework/primitive.h"
 #include "framework/registry.h"
 #include "tests/catch.h"
+#include "tests/hard_scenes.h"
 #include "tests/height_field.h"
 #include "tests/scratch_file.h"
 
@@ -183,6 +184,27 @@ TEST_CASE("triangle patches: a mesh in wide_bvh takes at most 43 bytes a triangl
     CHECK(bytes({{"nodes", text("quantised")}}) <= 38);
     CHECK(bytes({{"leaves", text("compact")}}) <= 27);
     CHECK(bytes({{"nodes", text("quantised")}, {"leaves", text("compact")}}) <= 21.5);
+}
+
+TEST_CASE("triangles that share nothing become leaves of as many as fit, not of four") {
+    test::Random random(3);
+    std::vector<Vec3f> corners;
+    std::vector<TriangleSet::Indices> triangles;
+    for (uint32_t i = 0; i < 2000; ++i) {
+        const Vec3f center = random.point(1);
+        const float size = i % 8 == 0 ? 0.3f : 0.03f;
+        for (int k = 0; k < 3; ++k) corners.push_back(center + random.point(size));
+        triangles.push_back({3 * i, 3 * i + 1, 3 * i + 2});
+    }
+    const PrimitiveSet set = std::make_shared<const TriangleSet>(corners, triangles);
+    const auto cost = [&](const char* builder) {
+        return accelerator("wide_bvh")
+            .build(set, {{"builder", std::string(builder)}})
+            ->expected_cost();
+    };
+    // A build that looks for planes is worth more than one that goes by Morton codes.
+    CHECK(cost("binned_sah") < 0.97 * cost("lbvh"));
+    CHECK(cost("sbvh") < 0.97 * cost("lbvh"));
 }
 
 TEST_CASE("a wide_bvh is the same, byte for byte, for any number of threads") {
