@@ -15,8 +15,8 @@ namespace HWY_NAMESPACE {
 struct QuickEntry {
     static constexpr uint32_t width = TrianglePatch::width;
     StoredBox box;
-    alignas(
-        32) uint32_t corner[2 * width];  ///< open: numbers of the different ones, then the first
+    /// Open: numbers of the different ones, then the first again; as far as `width`.
+    alignas(32) uint32_t corner[2 * width];
     uint32_t corners;
     uint32_t count;  ///< open: triangles; 0: a subtree
     uint32_t first;  ///< open: the first of their keys
@@ -229,9 +229,10 @@ class QuickBuilder {
     ScaledAreas areas_;
     uint32_t most_;
     QuickTree& out_;
-    QuickEntry
-        stack_[66];  // any two keys that are neighbours on it differ in a lower bit than those
-    uint64_t differ_[66];  // below them; between an entry and the next
+    /// Keys of two neighbours differ in a lower bit than those of the two below them: there are no
+    /// more than bits, and one.
+    QuickEntry stack_[66];
+    uint64_t differ_[66];  ///< between an entry and the next
     size_t size_ = 0;
 };
 

@@ -21,7 +21,9 @@ class FasterWay {
   public:
     /// @return  whether to take the second way next
     bool second() const { return (trying_ && turn_ % 2 == 1) != taken_; }
-    /// The way named by `second` took so long.
+    /// @return  whether it matters how long the next takes: to ask a clock takes time, too
+    bool trying() const { return trying_; }
+    /// The way named by `second` took so long. @param time  anything, unless `trying`
     void took(double time) {
         if (trying_) {
             if (turn_ % 2 == 1) decide(std::log(before_ / time));
@@ -76,9 +78,10 @@ class Crowds {
     void add(size_t i) {
         waiting_[count_++] = i;
         if (count_ < RayCrowd::most) return;
-        const auto begin = Clock::now();
+        const bool timed = way_.trying();
+        const auto begin = timed ? Clock::now() : Clock::time_point();
         way_.second() ? trace_crowd() : trace_each();
-        way_.took(seconds_since(begin));
+        way_.took(timed ? seconds_since(begin) : 0);
     }
     /// Traces those that are left.
     void finish() { way_.second() && count_ >= least ? trace_crowd() : trace_each(); }

@@ -86,7 +86,9 @@ void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one,
         RayPacket packet(bounds_, magnitude_, mode);
         // Where packets are futile ever fewer are tried.
         constexpr size_t longest_pause = 63;
-        size_t pause = 0, left_out = 0;
+        // Where nothing goes together for long it is not even looked for every time.
+        constexpr size_t patience = 4, longest_look = 7;
+        size_t pause = 0, left_out = 0, apart = 0;
         for (; i + RayPacket::most <= rays.size(); i += RayPacket::most) {
             uint32_t left = RayPacket::everyone;
             if (left_out > 0) {
@@ -98,6 +100,9 @@ void Primitive::as_given(std::span<const Ray> rays, Mode mode, const One& one,
                 pause =
                     packet.was_futile(taken) ? std::min(2 * pause + 1, longest_pause) : pause / 2;
                 left_out = pause;
+                apart = 0;
+            } else if (++apart > patience) {
+                left_out = std::min(apart - patience, longest_look);
             }
             for (; left; left &= left - 1) one(i + size_t(std::countr_zero(left)));
         }
