@@ -43,7 +43,7 @@ double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& las
         last = assemble(scene, plan);
         seconds.push_back(last.build_s);
         sum += last.build_s;
-        if (sum > 0.04) break;
+        if (sum > 0.02) break;
     }
     return median_interval(std::move(seconds)).median;
 }
