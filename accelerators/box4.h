@@ -82,19 +82,4 @@ struct Box4 {
     }
 };
 
-/// Bounds of references and of their centroids (doubled).
-struct ReferenceBounds {
-    Box4 boxes, centroids;
-
-    void add(const BuildReference& r) {
-        const Box4 b(r);
-        boxes.extend(b);
-        centroids.extend_point(b.centroid2());
-    }
-    void add(const ReferenceBounds& o) {
-        boxes.extend(o.boxes);
-        centroids.extend(o.centroids);
-    }
-};
-
 }  // namespace crofton

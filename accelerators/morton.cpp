@@ -80,19 +80,20 @@ void sort_runs(RawAlignedVector<uint64_t>& keys, int bit) {
 
 }  // namespace
 
-void MortonKeys::interleave(size_t first, std::span<uint64_t> keys) const {
-    HWY_DYNAMIC_DISPATCH(interleave)(keys.data(), keys.size(), first, index_bits_);
+void MortonSorter::interleave(size_t first, std::span<uint64_t> keys) const {
+    HWY_DYNAMIC_DISPATCH(interleave)(keys.data(), keys.size(), first, keys_.index_bits_);
 }
 
 /// The highest 33 bits by 11 at a time, in parallel by chunks that do not depend on the threads;
 /// they leave short runs, or long ones of equal codes.
-void MortonKeys::sort() {
+void MortonSorter::sort() {
     constexpr size_t digits = 2048, least = 8192, most_chunks = 16;
     constexpr int digit_bits = 11;
-    const size_t n = keys_.size();
+    RawAlignedVector<uint64_t>& keys = keys_.keys_;
+    const size_t n = keys.size();
     const size_t chunks = std::clamp<size_t>(n / least, 1, most_chunks);
     const auto chunk_begin = [&](size_t c) { return n * c / chunks; };
-    const int top = size() < n ? 64 : index_bits_ + 3 * axis_bits_;
+    const int top = keys_.size() < n ? 64 : keys_.index_bits_ + 3 * keys_.axis_bits_;
     const int bottom = std::max(0, top - 3 * digit_bits);
     RawAlignedVector<uint64_t> other(n);
     std::vector<std::array<uint32_t, digits>> count(chunks);
@@ -102,7 +103,7 @@ void MortonKeys::sort() {
             for (size_t c = from; c < to; ++c) {
                 count[c].fill(0);
                 for (size_t i = chunk_begin(c); i < chunk_begin(c + 1); ++i)
-                    ++count[c][digit(keys_[i])];
+                    ++count[c][digit(keys[i])];
             }
         });
         uint32_t sum = 0;
@@ -115,11 +116,11 @@ void MortonKeys::sort() {
         parallel_for(chunks, 1, [&](size_t from, size_t to) {
             for (size_t c = from; c < to; ++c)
                 for (size_t i = chunk_begin(c); i < chunk_begin(c + 1); ++i)
-                    other[count[c][digit(keys_[i])]++] = keys_[i];
+                    other[count[c][digit(keys[i])]++] = keys[i];
         });
-        keys_.swap(other);
+        keys.swap(other);
     }
-    sort_runs(keys_, bottom);
+    sort_runs(keys, bottom);
 }
 
 }  // namespace crofton

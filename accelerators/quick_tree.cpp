@@ -4,6 +4,7 @@
 #define HWY_TARGET_INCLUDE "accelerators/quick_tree.cpp"
 #include <hwy/foreach_target.h>
 
+#include "accelerators/morton_keys.h"
 #include "accelerators/object_split.h"
 #include "framework/triangle_slack.h"
 
@@ -30,7 +31,7 @@ class QuickBuilder {
     static constexpr size_t N = hn::MaxLanes(DN());
 
   public:
-    QuickBuilder(const PatchCorners& corners, const SortedKeys& keys, const TreeCosts& costs,
+    QuickBuilder(const PatchCorners& corners, const MortonKeys& keys, const TreeCosts& costs,
                  const ScaledAreas& areas, uint32_t most, QuickTree& out)
         : corners_(corners),
           keys_(keys),
@@ -224,7 +225,7 @@ class QuickBuilder {
     }
 
     const PatchCorners& corners_;
-    const SortedKeys& keys_;
+    const MortonKeys& keys_;
     float block_, one_block_;
     ScaledAreas areas_;
     uint32_t most_;
@@ -237,12 +238,12 @@ class QuickBuilder {
 };
 
 /// Where runs of keys begin that share their highest bits, each of `most` keys at the most.
-inline std::vector<size_t> split_keys(const SortedKeys& keys, size_t most) {
+inline std::vector<size_t> split_keys(const MortonKeys& keys, size_t most) {
     struct Range {
         size_t begin, end;
     };
     std::vector<size_t> begins;
-    std::vector<Range> open{{0, keys.size}};
+    std::vector<Range> open{{0, keys.size()}};
     while (!open.empty()) {
         const Range r = open.back();
         open.pop_back();
@@ -250,11 +251,7 @@ inline std::vector<size_t> split_keys(const SortedKeys& keys, size_t most) {
             begins.push_back(r.begin);
             continue;
         }
-        const uint64_t bit = std::bit_floor(keys.key(r.begin) ^ keys.key(r.end - 1));
-        const uint64_t* const middle =
-            std::partition_point(keys.begin + r.begin, keys.begin + r.end,
-                                 [bit](uint64_t key) { return (key & bit) == 0; });
-        const auto at = size_t(middle - keys.begin);
+        const size_t at = keys.split(r.begin, r.end);
         open.push_back({at, r.end});
         open.push_back({r.begin, at});
     }
@@ -300,16 +297,16 @@ inline void append(std::span<QuickTree> parts, std::span<QuickEntry> roots, Quic
     });
 }
 
-QuickTree build_quick_tree(const PatchCorners& corners, const SortedKeys& keys,
+QuickTree build_quick_tree(const PatchCorners& corners, const MortonKeys& keys,
                            const TreeCosts& costs, uint32_t most) {
     constexpr size_t least_part = 4096, most_parts = 64;
     StoredBox all;
-    const Bounds3 bounds = keys.bounds;
+    const Bounds3 bounds = keys.bounds();
     for (int a = 0; a < 3; ++a) all.v[a] = bounds.lower[a], all.v[4 + a] = -bounds.upper[a];
     const ScaledAreas areas(all);
     const std::vector<size_t> begins =
-        split_keys(keys, std::max(least_part, keys.size / most_parts));
-    const auto end = [&](size_t i) { return i + 1 < begins.size() ? begins[i + 1] : keys.size; };
+        split_keys(keys, std::max(least_part, keys.size() / most_parts));
+    const auto end = [&](size_t i) { return i + 1 < begins.size() ? begins[i + 1] : keys.size(); };
     std::vector<QuickEntry> roots(begins.size());
     QuickTree out;
     out.tree.nodes.resize(1);  // the root's place
@@ -319,7 +316,7 @@ QuickTree build_quick_tree(const PatchCorners& corners, const SortedKeys& keys,
         tree.tree.nodes.reserve(triangles / 2);
     };
     if (threads() == 1 || begins.size() == 1) {
-        make_room(out, keys.size);
+        make_room(out, keys.size());
         for (size_t i = 0; i < begins.size(); ++i) roots[i] = builder.build(begins[i], end(i));
     } else {
         std::vector<QuickTree> parts(begins.size());
@@ -334,7 +331,7 @@ QuickTree build_quick_tree(const PatchCorners& corners, const SortedKeys& keys,
     }
     QuickEntry root = builder.join(roots, begins);
     out.tree.nodes[0] = out.tree.nodes[builder.close(root)];
-    out.triangles = uint32_t(keys.size);
+    out.triangles = uint32_t(keys.size());
     return out;
 }
 
@@ -351,7 +348,7 @@ HWY_EXPORT(build_quick_tree);
 namespace {
 /// Boxes of the triangles' corners; none of those that have corners at infinity or nowhere.
 MortonKeys keys_of(const TriangleSet& set) {
-    return MortonKeys(set.size(), [&set](size_t i, Box4& box) {
+    return morton_keys(set.size(), [&set](size_t i, Box4& box) {
         const Box4::D d;
         const TriangleSet::Indices& t = set.triangles()[i];
         const auto at = [&](size_t k) {
@@ -372,7 +369,7 @@ QuickTree build_quick_tree(const TriangleSet& set, const PatchCorners& corners,
     const MortonKeys keys = keys_of(set);
     if (keys.size() == 0) return {};
     const uint32_t most = std::min(uint32_t(max_leaf_size), TrianglePatch::width);
-    return HWY_DYNAMIC_DISPATCH(build_quick_tree)(corners, keys.sorted(), costs, most);
+    return HWY_DYNAMIC_DISPATCH(build_quick_tree)(corners, keys, costs, most);
 }
 
 }  // namespace crofton

@@ -5,17 +5,6 @@
 
 namespace crofton {
 
-/// Triangles in the order of Morton codes, see MortonKeys.
-struct SortedKeys {
-    const uint64_t* begin;
-    size_t size;
-    uint64_t index_mask;  ///< the bits of a key that say which triangle; the others are the code
-    Bounds3 bounds;       ///< of all triangles
-
-    uint64_t key(size_t i) const { return begin[i]; }
-    uint32_t index(size_t i) const { return uint32_t(begin[i] & index_mask); }
-};
-
 /// What the quick build of a wide_bvh over triangles makes before its nodes: a binary tree in
 /// Morton order (Lauterbach et al. 2009: "Fast BVH construction on GPUs") whose leaves are patches.
 /// It is made from the leaves up, in one pass over the sorted keys (after Apetrei 2014: "Fast and

@@ -16,7 +16,7 @@ constexpr size_t parallel_size = 4096;  // fewer references are not worth a task
 class MortonBuilder {
   public:
     MortonBuilder(BuildReferences references, size_t leaf_size)
-        : refs_(std::move(references)), keys_(refs_), leaf_size_(leaf_size) {}
+        : refs_(std::move(references)), keys_(morton_keys(refs_)), leaf_size_(leaf_size) {}
 
     BinaryTree build() {
         BinaryTree tree;
@@ -57,13 +57,8 @@ class MortonBuilder {
 
     /// Where the highest bit that differs goes from 0 to 1; the middle if none does.
     size_t split(size_t begin, size_t end) const {
-        const uint64_t differ = keys_.code(begin) ^ keys_.code(end - 1);
-        if (differ == 0) return begin + (end - begin) / 2;
-        const auto place = [&](size_t i) { return keys_.data() + i; };
-        const uint64_t bit = std::bit_floor(keys_.key(begin) ^ keys_.key(end - 1));
-        return size_t(std::partition_point(place(begin), place(end),
-                                           [bit](uint64_t key) { return (key & bit) == 0; }) -
-                      keys_.data());
+        const bool differ = keys_.code(begin) != keys_.code(end - 1);
+        return differ ? keys_.split(begin, end) : begin + (end - begin) / 2;
     }
 
     BuildReferences refs_;
@@ -83,7 +78,7 @@ class ClusterBuilder {
         tree_.nodes.resize(2 * n - 1);
         tree_.order.resize(n);
         next_inner_ = n - 1;
-        const MortonKeys keys(refs_);
+        const MortonKeys keys = morton_keys(refs_);
         clusters_.resize(n);
         for (size_t i = 0; i < n; ++i) {
             const BuildReference& r = refs_[keys.index(i)];
@@ -195,7 +190,7 @@ class ClusterBuilder {
 }  // namespace
 
 std::vector<uint32_t> morton_order(const BuildReferences& references) {
-    const MortonKeys keys(references);
+    const MortonKeys keys = morton_keys(references);
     std::vector<uint32_t> order(keys.size());
     for (size_t i = 0; i < keys.size(); ++i) order[i] = keys.index(i);
     return order;

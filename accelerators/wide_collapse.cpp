@@ -18,32 +18,31 @@ namespace hn = hwy::HWY_NAMESPACE;
 /// instruction sets.
 template <int W>
 class WidePlanner {
-    using D = hn::CappedTag<float, W>;
+    using D = hn::CappedTag<double, W>;
     using V = hn::Vec<D>;
     static constexpr size_t N = hn::MaxLanes(D()), parts = W / N;
 
   public:
     using Plan = typename WideCollapse<W>::Plan;
-    /// Costs times area of a subtree by slots of the wide node above it, relative to the root.
+    /// Costs times area of a subtree by slots of the wide node above it.
     struct SlotCosts {
         /// [W + k - 1]: for k slots at most; in front of that, infinite.
-        alignas(64) float least[2 * W];
+        alignas(64) double least[2 * W];
         int leaves;  ///< of the subtree, but W at most: more slots are of no use
     };
 
-    WidePlanner(const WidePlanTask<W>& task) : task_(task), tree_(task.tree) {
-        const double area = half_area(tree_.nodes[0].bounds);
-        per_area_ = area > 0 ? 1 / area : 0;
-        parallel_levels_ = parallel_levels(tree_.nodes.size());
-    }
+    explicit WidePlanner(const WidePlanTask<W>& task)
+        : task_(task),
+          tree_(task.tree),
+          parallel_levels_(parallel_levels(task.tree.nodes.size())) {}
 
     void plan(uint32_t n, int depth, SlotCosts& c) {
         const D d;
         const BinaryTree::Node& node = tree_.nodes[n];
-        const double area = half_area(node.bounds) * per_area_;
-        for (size_t p = 0; p < parts && parts > 1; ++p) hn::Store(hn::Inf(d), d, c.least + p * N);
+        const double area = half_area(node.bounds);
+        for (size_t p = 0; p < parts; ++p) hn::Store(hn::Inf(d), d, c.least + p * N);
         if (node.leaf()) {
-            const auto cost = hn::Set(d, float(area * leaf(node)));
+            const auto cost = hn::Set(d, area * leaf(node));
             for (size_t p = 0; p < parts; ++p) hn::Store(cost, d, c.least + W + p * N);
             c.leaves = 1;
             return;
@@ -53,20 +52,20 @@ class WidePlanner {
             depth < parallel_levels_, [&] { plan(node.left, depth + 1, left); },
             [&] { plan(node.right, depth + 1, right); });
         c.leaves = std::min(W, left.leaves + right.leaves);
-        share(left, right, float(area * task_.wide_node), c, task_.plans[n]);
+        share(left, right, area * task_.wide_node, c, task_.plans[n]);
     }
 
   private:
     /// The best share of each number of slots.
     /// @param own  of the node itself as a wide node
-    HWY_INLINE void share(const SlotCosts& left, const SlotCosts& right, float own, SlotCosts& c,
+    HWY_INLINE void share(const SlotCosts& left, const SlotCosts& right, double own, SlotCosts& c,
                           Plan& plan) const {
         const D d;
         V shared[parts], share[parts];
-        for (size_t p = 0; p < parts; ++p) shared[p] = hn::Inf(d), share[p] = hn::Set(d, 1.0f);
+        for (size_t p = 0; p < parts; ++p) shared[p] = hn::Inf(d), share[p] = hn::Set(d, 1.0);
         const int most = std::min(left.leaves, W - 1);
         for (int i = 1; i <= most; ++i) {
-            const auto l = hn::Set(d, left.least[W + i - 1]), slots = hn::Set(d, float(i));
+            const auto l = hn::Set(d, left.least[W + i - 1]), slots = hn::Set(d, double(i));
             for (size_t p = 0; p < parts; ++p) {
                 const auto sum = hn::Add(l, behind(right, i, p));
                 const auto better = hn::Lt(sum, shared[p]);
@@ -76,14 +75,15 @@ class WidePlanner {
         }
         for (size_t p = 0; p < parts; ++p) hn::Store(shared[p], d, c.least + W + p * N);
         const auto alone = hn::Set(d, own + c.least[2 * W - 1]);
-        const hn::RebindToSigned<D> d32;
         const hn::Rebind<uint8_t, D> d8;
         for (size_t p = 0; p < parts; ++p) {
             hn::Store(hn::Min(shared[p], alone), d, c.least + W + p * N);
             const auto flag = hn::IfThenElseZero(hn::Lt(alone, shared[p]),
-                                                 hn::Set(d, float(WideCollapse<W>::own_node)));
-            const auto bytes = hn::ConvertTo(d32, hn::Add(share[p], flag));
-            hn::StoreU(hn::DemoteTo(d8, bytes), d8, plan.data() + p * N);
+                                                 hn::Set(d, double(WideCollapse<W>::own_node)));
+            // Whole numbers in double: the lowest byte of the sum with 2^52.
+            const auto bits = hn::BitCast(hn::RebindToUnsigned<D>(),
+                                          hn::Add(hn::Add(share[p], flag), hn::Set(d, 0x1p52)));
+            hn::StoreU(hn::TruncateTo(d8, bits), d8, plan.data() + p * N);
         }
     }
     /// Part p of the costs for i slots less; infinite where that is none.
@@ -91,11 +91,11 @@ class WidePlanner {
         const D d;
         if constexpr (parts == 1) {
             // As it was stored: a load that reaches into what is in front of it would have to wait.
-            const hn::RebindToSigned<D> d32;
-            const auto lane = hn::Sub(hn::Iota(d32, 0), hn::Set(d32, i));
+            const hn::RebindToSigned<D> di;
+            const auto lane = hn::Sub(hn::Iota(di, 0), hn::Set(di, i));
             const auto moved =
                 hn::TableLookupLanes(hn::Load(d, costs.least + W),
-                                     hn::IndicesFromVec(d, hn::And(lane, hn::Set(d32, W - 1))));
+                                     hn::IndicesFromVec(d, hn::And(lane, hn::Set(di, W - 1))));
             return hn::IfThenElse(hn::FirstN(d, size_t(i)), hn::Inf(d), moved);
         } else {
             return hn::LoadU(d, costs.least + W + p * N - i);
@@ -111,10 +111,10 @@ class WidePlanner {
 
     const WidePlanTask<W>& task_;
     const BinaryTree& tree_;
-    double per_area_;
     int parallel_levels_;
 };
 
+/// @return  cost of the root times its area
 template <int W>
 double plan_nodes(const WidePlanTask<W>& task) {
     typename WidePlanner<W>::SlotCosts root;
@@ -146,8 +146,10 @@ template <int W>
 WideCollapse<W>::WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
                               std::span<const float> cost_of_shape)
     : tree_(tree), plans_(tree.nodes.size()) {
-    expected_cost_ =
+    const double cost =
         plan_nodes(WidePlanTask<W>{tree, costs, wide_node, cost_of_shape, plans_.data()});
+    const double area = half_area(tree.nodes[0].bounds);
+    if (area > 0) expected_cost_ = cost / area;
 }
 
 template <int W>

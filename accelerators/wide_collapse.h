@@ -23,9 +23,7 @@ class WideCollapse {
         const uint32_t* end() const { return node.data() + count; }
     };
 
-    /// @param tree       its leaves finished, as collapse_leaves leaves them; not empty; must
-    /// outlive
-    ///                   this
+    /// @param tree       leaves as collapse_leaves leaves them; not empty; must outlive this
     /// @param wide_node  nominal ns of testing all children of a wide node
     WideCollapse(const BinaryTree& tree, const TreeCosts& costs, double wide_node,
                  std::span<const float> cost_of_shape);

@@ -34,7 +34,7 @@ struct Observation {
     std::optional<double> thin_ray, thin_build;
 };
 
-/// Builds until the median is steady enough.
+/// Builds until the median is steady enough; what is dear, once.
 double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& last) {
     std::vector<double> seconds;
     double sum = 0;

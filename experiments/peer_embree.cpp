@@ -6,7 +6,7 @@
 #include <algorithm>
 #include <atomic>
 
-#include "framework/error.h"
+#include "experiments/peer_object.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
 #include "framework/ray_packet.h"
@@ -40,19 +40,22 @@ struct EmbreeOptions {
 /// Embree's structure over triangles, or over other structures of Embree and instances of them. It
 /// answers with its own t, u, v and whichever of several triangles at one t it meets first; the
 /// mode of a query means nothing to it.
-class EmbreeObject final : public Primitive {
+class EmbreeObject final : public PeerObject {
   public:
     EmbreeObject(std::shared_ptr<const TriangleSet> set, const EmbreeOptions& options)
-        : triangles_(std::move(set)) {
-        build(*triangles_, options, [&] { add_triangles(); });
+        : PeerObject("embree", *set), triangles_(std::move(set)) {
+        build(options, [&] { add_triangles(); });
     }
     EmbreeObject(std::shared_ptr<const ObjectSet> set, const EmbreeOptions& options)
-        : objects_(std::move(set)) {
-        build(*objects_, options, [&] {
+        : PeerObject("embree", *set), objects_(std::move(set)) {
+        build(options, [&] {
             for (uint32_t i = 0; i < objects_->size(); ++i) add_instance(objects_->object(i));
         });
     }
     ~EmbreeObject() override { rtcReleaseScene(scene_); }
+
+    using PeerObject::any_local;
+    using PeerObject::closest_local;
 
     void closest_local(const LocalRay& ray, RayQuery& q) const override {
         RTCRayHit r;
@@ -128,30 +131,14 @@ class EmbreeObject final : public Primitive {
         for (uint32_t i = 0; i < 16; ++i)
             if (packet.rays >> i & 1 && r.tfar[i] < 0) packet.found |= 1u << i;
     }
-    void closest_local(const LocalRay& ray, RayQuery& q, Counters&) const override {
-        closest_local(ray, q);
-    }
-    bool any_local(const LocalRay& ray, RayQuery& q, Counters&) const override {
-        return any_local(ray, q);
-    }
-    double expected_cost() const override { return 0; }
-    StructureStatistics statistics() const override {
-        StructureStatistics s;
-        s.bytes = bytes_;
-        return s;
-    }
-    std::string type_name() const override { return "embree"; }
-    void walk(const BoxVisitor& visit) const override { visit(bounds(), 0, true, 0); }
     void children(const std::function<void(const Primitive&)>& visit) const override {
         for (uint32_t i = 0; objects_ && i < objects_->size(); ++i) visit(objects_->object(i));
     }
-    void archive(StructureWriter&) const override {
-        throw InputError("embree: a peer's structure cannot be saved");
-    }
 
   private:
-    template <class Set, class Add>
-    void build(const Set& set, const EmbreeOptions& options, const Add& add) {
+    uint64_t bytes() const override { return bytes_; }
+    template <class Add>
+    void build(const EmbreeOptions& options, const Add& add) {
         const int64_t before = embree_bytes;
         scene_ = rtcNewScene(device());
         rtcSetSceneFlags(scene_, options.flags);
@@ -160,10 +147,6 @@ class EmbreeObject final : public Primitive {
         add();
         rtcCommitScene(scene_);
         bytes_ = uint64_t(std::max<int64_t>(0, embree_bytes - before));
-        Bounds3 bounds;
-        for (uint32_t i = 0; i < set.size(); ++i)
-            if (set.active(i)) bounds.extend(set.bounds(i));
-        set_bounds(bounds);
     }
     void attach(RTCGeometry geometry) {
         // Embree sorts by Morton codes only if the geometry asks for it, too.
@@ -176,12 +159,8 @@ class EmbreeObject final : public Primitive {
     void add_triangles() {
         const TriangleSet& set = *triangles_;
         RTCGeometry geometry = rtcNewGeometry(device(), RTC_GEOMETRY_TYPE_TRIANGLE);
-        size_t vertices = 0;
-        for (uint32_t i = 0; i < set.size(); ++i)
-            for (const uint32_t corner : set.triangles()[i])
-                vertices = std::max<size_t>(vertices, corner + 1);
         rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
-                                   set.coordinates(), 0, sizeof(Vec3f), vertices);
+                                   set.coordinates(), 0, sizeof(Vec3f), set.vertices());
         rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
                                    set.triangles(), 0, sizeof(TriangleSet::Indices), set.size());
         attach(geometry);

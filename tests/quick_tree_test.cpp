@@ -150,7 +150,7 @@ TEST_CASE("morton keys: by code and then by index, and what does not exist is le
     const auto exists = [](size_t i) { return i % 11 != 0; };
     for (const int threads : {1, 4}) {
         set_threads(threads);
-        const MortonKeys keys(n, [&](size_t i, Box4& box) {
+        const MortonKeys keys = morton_keys(n, [&](size_t i, Box4& box) {
             box = Box4(Bounds3{points[i], points[i]});
             return exists(i);
         });
