@@ -6,6 +6,7 @@
 #define CROFTON_ACCELERATORS_PACKET_LEAVES_H_
 #endif
 
+#include "accelerators/packet_boxes.h"
 #include "framework/compact_patch_test.h"
 #include "framework/patch_test.h"
 #include "framework/ray_packet.h"
@@ -13,9 +14,6 @@
 HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
-
-/// Some of a packet's rays, one a lane.
-using RayLanes = hn::CappedTag<float, RayPacket::most>;
 
 /// What a packet does at a leaf.
 ///
@@ -26,13 +24,22 @@ using RayLanes = hn::CappedTag<float, RayPacket::most>;
 template <Query Q, class Set, class Leaves>
 class PacketLeaves {
   public:
-    PacketLeaves(const Leaves& leaves, const Set& set, RayPacket& packet)
-        : leaves_(leaves), set_(set), packet_(packet) {}
+    /// @param boxes  of the rays that are traced
+    PacketLeaves(const Leaves& leaves, const Set& set, const PacketBoxes& boxes, RayPacket& packet,
+                 LocalPacket& space)
+        : leaves_(leaves), set_(set), boxes_(boxes), packet_(packet), space_(space) {
+        if constexpr (std::is_same_v<Set, TriangleSet>) packet.hits_are_of(set.ids());
+    }
 
     /// @param rays  that meet the leaf's box
     /// @return      whether one of them goes less far now
     HWY_INLINE bool test(uint32_t first, uint32_t count, uint32_t rays) {
         nearer_ = false;
+        if constexpr (std::is_same_v<Set, ObjectSet>) {
+            for (uint32_t i = first; i < first + count; ++i)
+                enter_object(set_.entry(leaves_.references()[i]), rays);
+            return nearer_;
+        }
         if constexpr (std::is_same_v<Set, TriangleSet>)
             if (hwy::PopCount(rays) >= least_together && packet_.mode == Mode::robust) {
                 for (uint32_t i = first; i < first + count; ++i)
@@ -48,17 +55,9 @@ class PacketLeaves {
     /// @return       whether the ray goes less far now
     template <class F>
     HWY_INLINE bool alone(uint32_t r, const F& trace) {
-        auto& [ray, query] = packet_.single(r);
-        const float before = query.t_cull;
-        if (trace(ray, query)) {
-            answer(hn::CappedTag<float, 1>(), r, 1);
-            return true;
-        }
-        if (query.t_cull == before) return false;
-        packet_.t_best[r] = query.t_best;
-        packet_.t_cull[r] = query.t_cull;
-        nearer_ = true;
-        return true;
+        const bool nearer = packet_.alone(r, space_, trace);
+        nearer_ |= nearer;
+        return nearer;
     }
 
   private:
@@ -74,24 +73,56 @@ class PacketLeaves {
         });
     }
 
+    /// Brings rays that meet an object's box into it.
+    HWY_INLINE void enter_object(const ObjectSet::Entry& entry, uint32_t rays) {
+        static_assert(offsetof(Bounds3, upper) == 3 * sizeof(float));
+        rays &= boxes_.meet(entry.bounds.lower.data(), 1);
+        if (!rays) return;
+        const Primitive& object = *entry.primitive;
+        packet_.instance += entry.instance;
+        if (hwy::PopCount(rays) >= least_together && packet_.depth < RayPacket::deepest &&
+            object.takes_packets()) {
+            ++packet_.depth;
+            Q == Query::any ? object.any_packet(packet_, space_, rays)
+                            : object.closest_packet(packet_, space_, rays);
+            --packet_.depth;
+            nearer_ = true;
+        } else {
+            for (; rays; rays &= rays - 1)
+                alone(lowest(rays), [&](const LocalRay& ray, RayQuery& query) {
+                    if constexpr (Q == Query::any) return object.any_local(ray, query);
+                    object.closest_local(ray, query);
+                    return false;
+                });
+        }
+        packet_.instance -= entry.instance;
+    }
+
     /// A patch's corners as N rays see them: sheared, the third in units of t.
     struct Corners {
         alignas(64) float x[TrianglePatch::width][N], y[TrianglePatch::width][N],
             z[TrianglePatch::width][N];
     };
+    /// x, y and z of a patch's corners in the world.
+    using Vertices = float[3][TrianglePatch::width];
     template <class Patch>
-    HWY_INLINE void shear(const Patch& patch, size_t r, Corners& corners) const {
-        const int kx = packet_.axis[0], ky = packet_.axis[1], kz = packet_.axis[2];
+    HWY_NOINLINE void map(const Patch& patch, Vertices& world) const {
+        const PatchTable::D d8;
+        for (int a = 0; a < 3; ++a)
+            for (size_t i = 0; i < TrianglePatch::width; i += hn::MaxLanes(d8))
+                hn::StoreU(world_coordinate<true>(d8, patch.v, i, a, space_.frame), d8,
+                           world[a] + i);
+    }
+    HWY_INLINE void shear(const Vertices& v, uint32_t count, size_t r, Corners& corners) const {
+        const auto& [kx, ky, kz] = packet_.axis;
         const auto ox = hn::Load(d, packet_.origin[kx] + r),
                    oy = hn::Load(d, packet_.origin[ky] + r),
                    oz = hn::Load(d, packet_.origin[kz] + r);
         const auto sx = hn::Load(d, packet_.shear[0] + r), sy = hn::Load(d, packet_.shear[1] + r),
                    sz = hn::Load(d, packet_.shear[2] + r);
-        const uint32_t count = std::min(3 * patch.count, TrianglePatch::width);
         for (uint32_t i = 0; i < count; ++i) {
-            const auto x = hn::Sub(hn::Set(d, patch.v[kx][i]), ox),
-                       y = hn::Sub(hn::Set(d, patch.v[ky][i]), oy),
-                       z = hn::Sub(hn::Set(d, patch.v[kz][i]), oz);
+            const auto x = hn::Sub(hn::Set(d, v[kx][i]), ox), y = hn::Sub(hn::Set(d, v[ky][i]), oy),
+                       z = hn::Sub(hn::Set(d, v[kz][i]), oz);
             hn::Store(hn::Sub(x, hn::Mul(sx, z)), d, corners.x[i]);
             hn::Store(hn::Sub(y, hn::Mul(sy, z)), d, corners.y[i]);
             hn::Store(hn::Mul(z, sz), d, corners.z[i]);
@@ -101,13 +132,17 @@ class PacketLeaves {
     template <class Patch>
     HWY_INLINE void test_together(uint32_t index, const Patch& patch, uint32_t rays) {
         uint32_t alone = 0;  // rays that have to test this patch by themselves
+        Vertices mapped;
+        if (HWY_UNLIKELY(space_.frame != nullptr)) map(patch, mapped);
+        const Vertices& v = space_.frame ? mapped : patch.v;
+        const uint32_t count = std::min(3 * patch.count, TrianglePatch::width);
         for (size_t r = 0; r < RayPacket::most; r += N) {
             const uint32_t active = rays >> r & ((1u << N) - 1);
             if (!active) continue;
             Corners corners;
-            shear(patch, r, corners);
+            shear(v, count, r, corners);
             for (uint32_t i = 0; i < patch.count; ++i)
-                alone |= test_triangle(patch, i, corners, r, active) << r;
+                alone |= test_triangle(patch, v, i, corners, r, active) << r;
         }
         for (uint32_t left = alone; left; left &= left - 1) test_alone(lowest(left), index, 1);
     }
@@ -115,8 +150,8 @@ class PacketLeaves {
     /// Tests a triangle against rays r to r + N - 1, of which those in `active`.
     /// @return  bit k: ray r + k may hit it, but has to find out alone
     template <class Patch>
-    HWY_INLINE uint32_t test_triangle(const Patch& patch, uint32_t triangle, const Corners& corners,
-                                      size_t r, uint32_t active) {
+    HWY_INLINE uint32_t test_triangle(const Patch& patch, const Vertices& v, uint32_t triangle,
+                                      const Corners& corners, size_t r, uint32_t active) {
         const uint32_t a = patch.corner[0][triangle], b = patch.corner[1][triangle],
                        c = patch.corner[2][triangle];
         const auto edge = [&](uint32_t p, uint32_t q) HWY_ATTR {
@@ -138,7 +173,7 @@ class PacketLeaves {
         const uint32_t plain = open & mask_bits(d, hn::And(hn::Ne(low, zero), hn::Ne(high, zero)));
         uint32_t left = plain;
         if constexpr (Q == Query::any) left &= ~answer_surely(near, far, r, plain);
-        return (open & ~plain) | solve(patch, triangle, r, left);
+        return (open & ~plain) | solve(patch, v, triangle, r, left);
     }
 
     /// Of rays that pass through the inside of a triangle, answers those that hit it for certain.
@@ -152,26 +187,27 @@ class PacketLeaves {
     /// Solves for t, u and v where rays pass through the inside of a triangle, and keeps the nearer
     /// hits. @return  as test_triangle
     template <class Patch>
-    HWY_INLINE uint32_t solve(const Patch& patch, uint32_t triangle, size_t r, uint32_t rays) {
+    HWY_INLINE uint32_t solve(const Patch& patch, const Vertices& v, uint32_t triangle, size_t r,
+                              uint32_t rays) {
         const hn::CappedTag<double, std::min<size_t>(N, 8)> dd;
         constexpr size_t n = hn::MaxLanes(decltype(dd)());
         uint32_t alone = 0;
         for (size_t part = 0; part < N; part += n) {
             const uint32_t some = rays >> part & ((1u << n) - 1);
-            if (some) alone |= solve_part(dd, patch, triangle, r + part, some) << part;
+            if (some) alone |= solve_part(dd, patch, v, triangle, r + part, some) << part;
         }
         return alone;
     }
     template <class DD, class Patch>
-    HWY_INLINE uint32_t solve_part(DD dd, const Patch& patch, uint32_t triangle, size_t r,
-                                   uint32_t rays) {
+    HWY_INLINE uint32_t solve_part(DD dd, const Patch& patch, const Vertices& v, uint32_t triangle,
+                                   size_t r, uint32_t rays) {
         using VD = hn::Vec<DD>;
         const hn::Rebind<float, DD> df;
         VD corner[3][3], o[3], dir[3];
         for (int a = 0; a < 3; ++a) {
             const int axis = packet_.axis[a];
             for (int k = 0; k < 3; ++k)
-                corner[k][a] = hn::Set(dd, double(patch.v[axis][patch.corner[k][triangle]]));
+                corner[k][a] = hn::Set(dd, double(v[axis][patch.corner[k][triangle]]));
             o[a] = hn::PromoteTo(dd, hn::Load(df, packet_.origin[axis] + r));
             dir[a] = hn::PromoteTo(dd, hn::Load(df, packet_.direction[axis] + r));
         }
@@ -191,18 +227,20 @@ class PacketLeaves {
                 const uint32_t bit = left & -left, other = lowest(left) + uint32_t(r);
                 if (!(packet_.hit_in_row >> other & 1))
                     alone |= bit;
-                else if (comes_first(id, packet_.shape[other]))
+                else if (comes_first(id, other))
                     nearer |= bit;
             }
             record(df, r, nearer, found.t, found.u, found.v, id);
         }
         return alone;
     }
-    /// Which of two shapes hit at one t is the closest.
-    HWY_NOINLINE bool comes_first(uint32_t shape, uint32_t other) const {
+    /// Whether of two shapes hit at one t the first is the closest, the other being what ray r has
+    /// hit.
+    HWY_NOINLINE bool comes_first(uint32_t shape, uint32_t r) const {
+        const RayPacket::Owner& other = packet_.owner_of(r);
         Hit a, b;
-        set_.ids().resolve(shape, 0, a);
-        set_.ids().resolve(other, 0, b);
+        set_.ids().resolve(shape, packet_.instance, a);
+        other.ids->resolve(packet_.shape[r], other.instance, b);
         return id_less(a, b);
     }
 
@@ -221,7 +259,7 @@ class PacketLeaves {
         if (!rays) return;
         nearer_ = true;
         packet_.hit_in_row |= rays << r;
-        packet_.ids = &set_.ids();
+        packet_.fresh |= rays << r;
         const auto mask = bits_mask(d, rays);
         const hn::RebindToUnsigned<D> d32;
         hn::BlendedStore(t, mask, d, packet_.t_best + r);
@@ -234,7 +272,9 @@ class PacketLeaves {
 
     const Leaves& leaves_;
     const Set& set_;
+    const PacketBoxes& boxes_;
     RayPacket& packet_;
+    LocalPacket& space_;
     bool nearer_ = false;
 };
 

@@ -30,7 +30,8 @@ struct WideBvhTraversal {
         return bvh.nodes.format() == WideFormat::full;
     }
     template <Query Q, class Set>
-    static void run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet) {
+    static void run_packet(const WideBvh<Set>& bvh, const Set& set, RayPacket& packet,
+                           LocalPacket& space, uint32_t rays, TraversalStart start = {}) {
         if (bvh.box.empty()) return;
         const auto alone = [&](const LocalRay& ray, RayQuery& query, uint32_t child) HWY_ATTR {
             NoCounters none;
@@ -39,23 +40,26 @@ struct WideBvhTraversal {
         with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
             bvh.nodes.visit_full([&](const auto* nodes) HWY_ATTR {
                 PacketTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
-                                std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, packet)
-                    .run(alone);
+                                std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, packet,
+                                                                       space, rays)
+                    .run(start.index, alone);
             });
         });
     }
 
     template <Query Q, GoesInCrowds Set>
-    static void run_crowd(const WideBvh<Set>& bvh, const Set& set, RayCrowd& crowd) {
+    static void run_crowd(const WideBvh<Set>& bvh, const Set& set, RayCrowd& crowd,
+                          TraversalStart start = {}) {
         if (bvh.box.empty()) return;
         const auto alone = [&](const LocalRay& ray, RayQuery& query) HWY_ATTR {
             NoCounters none;
-            return run<Q>(bvh, set, ray, query, none);
+            return run<Q>(bvh, set, ray, query, none, start);
         };
         with_leaves(bvh, [&](const auto& leaves) HWY_ATTR {
             bvh.nodes.visit([&](const auto* nodes) HWY_ATTR {
                 CrowdTraversal<Q, std::remove_cvref_t<decltype(*nodes)>, Set,
-                               std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, crowd)
+                               std::remove_cvref_t<decltype(leaves)>>(nodes, leaves, set, crowd,
+                                                                      start.index)
                     .run(alone);
             });
         });

@@ -39,11 +39,13 @@ concept GoesInCrowds = std::is_same_v<Set, TriangleSet> || std::is_same_v<Set, O
 template <Query Q, class Node, class Set, class Leaves>
 class CrowdTraversal {
   public:
+    /// @param first  a WideChild, where rays start
     HWY_INLINE CrowdTraversal(const Node* nodes, const Leaves& leaves, const Set& set,
-                              RayCrowd& crowd)
-        : nodes_(nodes), leaves_(leaves), set_(set), crowd_(crowd) {}
+                              RayCrowd& crowd, uint32_t first)
+        : nodes_(nodes), leaves_(leaves), set_(set), crowd_(crowd), first_(first) {}
 
-    /// @param alone  (ray, query): traces a ray from the root, and returns whether that answered an
+    /// @param alone  (ray, query): traces a ray from the first child on, and returns whether that
+    /// answered an
     ///               `any` query
     template <class F>
     HWY_INLINE void run(const F& alone) {
@@ -110,7 +112,7 @@ class CrowdTraversal {
         slot.t[N] = -infinity;
         slot.child[N] = WideChild::end;
         slot.top = N + 1;
-        go_to(slot, 0);
+        go_to(slot, first_);
     }
     HWY_INLINE void go_to(Slot& slot, uint32_t child) {
         slot.current = child;
@@ -258,6 +260,7 @@ class CrowdTraversal {
     const Leaves& leaves_;
     const Set& set_;
     RayCrowd& crowd_;
+    const uint32_t first_;
     uint32_t next_ = 0;  ///< of the crowd
     Waiting at_nodes_, at_leaves_;
     Slot slot_[slots];

@@ -13,67 +13,6 @@ HWY_BEFORE_NAMESPACE();
 namespace crofton {
 namespace HWY_NAMESPACE {
 
-/// A row's end.
-HWY_INLINE float least(const RayPacket::Row& row) {
-    auto all = hn::Load(RayLanes(), row);
-    for (size_t r = hn::MaxLanes(RayLanes()); r < RayPacket::most; r += hn::MaxLanes(RayLanes()))
-        all = hn::Min(all, hn::Load(RayLanes(), row + r));
-    return hn::GetLane(hn::MinOfLanes(RayLanes(), all));
-}
-HWY_INLINE float largest(const RayPacket::Row& row) {
-    auto all = hn::Load(RayLanes(), row);
-    for (size_t r = hn::MaxLanes(RayLanes()); r < RayPacket::most; r += hn::MaxLanes(RayLanes()))
-        all = hn::Max(all, hn::Load(RayLanes(), row + r));
-    return hn::GetLane(hn::MaxOfLanes(RayLanes(), all));
-}
-
-/// Which of a packet's rays may meet a box.
-/// @param planes  of the box: lower x, y, z, upper x, y, z, every `stride`-th float
-/// @param down    whether directions are negative, by axis
-/// @return bit r: ray r may, see LocalRay
-HWY_INLINE uint32_t meet(const RayPacket& packet, const float* planes, size_t stride,
-                         const bool (&down)[3]) {
-    const RayLanes d;
-    uint32_t hits = 0;
-    for (size_t r = 0; r < RayPacket::most; r += hn::MaxLanes(d)) {
-        auto enter = hn::Load(d, packet.t_low + r), leave = hn::Load(d, packet.t_cull + r);
-        for (size_t a = 0; a < 3; ++a) {
-            const auto in = hn::Set(d, planes[stride * (down[a] ? a + 3 : a)]);
-            const auto out = hn::Set(d, planes[stride * (down[a] ? a : a + 3)]);
-            enter = hn::Max(enter, hn::Mul(hn::Sub(in, hn::Load(d, packet.near_origin[a] + r)),
-                                           hn::Load(d, packet.rcp[a] + r)));
-            leave = hn::Min(leave, hn::Mul(hn::Sub(out, hn::Load(d, packet.far_origin[a] + r)),
-                                           hn::Load(d, packet.far_rcp[a] + r)));
-        }
-        hits |= mask_bits(d, hn::Le(enter, leave)) << r;
-    }
-    return hits;
-}
-
-/// A ray that enters any box no later than the first of a packet's rays, and leaves it no earlier
-/// than the last (interval arithmetic: Boulos, Wald, Shirley 2006, "Geometric and arithmetic
-/// culling methods for entire ray packets").
-///
-/// It starts from the ends of all near and far origins, is the fastest to enter and the slowest to
-/// leave. That is enough since no ray begins before t = 0: a plane behind an origin is left
-/// alone where it is one to enter by, and ends the matter for all rays where it is one to leave by.
-/// The rounding of `ChildrenTest` moves an origin by u·|o|, for which the pad that is in the end of
-/// the origins has room as it has for a single ray.
-HWY_INLINE LocalRay beam_of(const RayPacket& packet) {
-    LocalRay beam{};
-    for (int a = 0; a < 3; ++a) {
-        const bool down = std::signbit(packet.rcp[a][0]);
-        const float low = least(packet.rcp[a]), high = largest(packet.rcp[a]);
-        beam.near_origin[a] = down ? least(packet.near_origin[a]) : largest(packet.near_origin[a]);
-        beam.far_origin[a] = down ? largest(packet.far_origin[a]) : least(packet.far_origin[a]);
-        beam.rcp[a] = down ? high : low;
-        beam.far_rcp[a] = (down ? low : high) * (1 + box_slack);
-        beam.near_base[a] = beam.near_origin[a] * beam.rcp[a];
-        beam.far_base[a] = beam.far_origin[a] * beam.far_rcp[a];
-    }
-    return beam;
-}
-
 /// A packet goes down the tree as one; at a leaf all its rays are tested against the box at once,
 /// and those that meet it test what is inside: see PacketLeaves. Hits do not depend on which
 /// further leaves are visited, so they are those of single rays.
@@ -89,32 +28,35 @@ HWY_INLINE LocalRay beam_of(const RayPacket& packet) {
 template <Query Q, class Node, class Set, class Leaves>
 class PacketTraversal {
   public:
+    /// @param rays  bits of those that are traced, which go one way in this space
     HWY_INLINE PacketTraversal(const Node* nodes, const Leaves& leaves, const Set& set,
-                               RayPacket& packet)
+                               RayPacket& packet, LocalPacket& space, uint32_t rays)
         : nodes_(nodes),
           packet_(packet),
-          beam_(beam_of(packet)),
-          boxes_(beam_),
-          leaves_(leaves, set, packet),
-          t_low_(least(packet.t_low)),
-          t_cull_(largest(packet.t_cull)) {
-        for (int a = 0; a < 3; ++a) down_[a] = std::signbit(beam_.rcp[a]);
-    }
+          rays_(rays),
+          boxes_(packet, space, rays),
+          beam_(boxes_.beam()),
+          children_(beam_),
+          leaves_(leaves, set, boxes_, packet, space),
+          t_low_(boxes_.t_low()),
+          t_cull_(boxes_.t_cull()) {}
 
+    /// @param start  a WideChild
     /// @param alone  (ray, query, child): traces a ray from a child on, and returns whether that
     ///               answered an `any` query
     template <class F>
-    HWY_INLINE void run(const F& alone) {
+    HWY_INLINE void run(uint32_t start, const F& alone) {
+        if (WideChild::is_leaf(start)) return visit_leaf(start, rays_);
         Open stack[BinaryTree::max_depth * (Node::width - 1) + 1];
         Open* top = stack;
-        *top++ = {-std::numeric_limits<float>::infinity(), 0, nullptr};
+        *top++ = {-std::numeric_limits<float>::infinity(), start, nullptr};
         while (top > stack) {
             const Open open = *--top;
             if (open.t > t_cull_) continue;
             const bool leaf = WideChild::is_leaf(open.child);
             ++packet_.visits;
             if (leaf || --free_visits_ < 0) {
-                const uint32_t rays = meet(packet_, open.planes, Node::width, down_);
+                const uint32_t rays = boxes_.meet(open.planes, Node::width);
                 if (!rays) continue;
                 if (leaf) {
                     visit_leaf(open.child, rays);
@@ -140,7 +82,7 @@ class PacketTraversal {
     HWY_INLINE Open* push_children(const Node& node, Open* top) const {
         alignas(4 * Node::width) float t[Node::width];
         Open* const base = top;
-        for (uint32_t hits = test_children(boxes_, node, t_low_, t_cull_, t); hits;
+        for (uint32_t hits = test_children(children_, node, t_low_, t_cull_, t); hits;
              hits &= hits - 1) {
             const uint32_t i = lowest(hits);
             const Open child{t[i], node.child[i], &node.planes[0][0][i]};
@@ -160,7 +102,7 @@ class PacketTraversal {
         packet_.encounters += uint32_t(hwy::PopCount(rays));
         free_visits_ += 2 * int(hwy::PopCount(rays));
         if (leaves_.test(WideChild::first(child), WideChild::count(child), rays))
-            t_cull_ = largest(packet_.t_cull);
+            t_cull_ = boxes_.t_cull();
     }
     template <class F>
     HWY_NOINLINE void leave_alone(uint32_t child, uint32_t rays, const F& alone) {
@@ -169,15 +111,16 @@ class PacketTraversal {
             nearer |=
                 leaves_.alone(lowest(rays), [&](const LocalRay& ray, RayQuery& query)
                                                 HWY_ATTR { return alone(ray, query, child); });
-        if (nearer) t_cull_ = largest(packet_.t_cull);
+        if (nearer) t_cull_ = boxes_.t_cull();
     }
 
     const Node* const nodes_;
     RayPacket& packet_;
+    const uint32_t rays_;
+    const PacketBoxes boxes_;
     const LocalRay beam_;
-    const ChildrenTest<Node> boxes_;
+    const ChildrenTest<Node> children_;
     PacketLeaves<Q, Set, Leaves> leaves_;
-    bool down_[3];
     const float t_low_;
     float t_cull_;
     int free_visits_ = 12;

@@ -69,13 +69,10 @@ class EmbreeObject final : public PeerObject {
         rtcIntersect1(scene_, &context, &r);
 #endif
         if (r.hit.geomID == RTC_INVALID_GEOMETRY_ID) return;
-        const IdTable* ids = triangles_ ? &triangles_->ids() : nullptr;
         const uint32_t outer = q.instance;
-        if (objects_) {
-            ids = inside_[r.hit.instID[0]];
-            q.instance += objects_->entry(r.hit.instID[0]).instance;
-        }
-        q.record(r.ray.tfar, r.hit.u, r.hit.v, *ids, r.hit.primID);
+        const RayPacket::Owner hit = owner(r.hit.instID[0], outer);
+        q.instance = hit.instance;
+        q.record(r.ray.tfar, r.hit.u, r.hit.v, *hit.ids, r.hit.primID);
         q.instance = outer;
     }
     bool any_local(const LocalRay& ray, RayQuery& q) const override {
@@ -90,11 +87,16 @@ class EmbreeObject final : public PeerObject {
         return r.tfar < 0;
     }
     /// Sixteen neighbours that go together are one call, with the hint that they do.
-    bool takes_packets() const override { return triangles_ != nullptr; }
-    void closest_packet(RayPacket& packet) const override {
+    bool takes_packets() const override { return true; }
+    void closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override {
+        if (space.frame)
+            return each_alone(packet, space, rays, [&](auto& ray, auto& query) {
+                EmbreeObject::closest_local(ray, query);
+                return false;
+            });
         RTCRayHit16 r;
         alignas(64) int valid[16];
-        fill(packet, r.ray, valid);
+        fill(packet, rays, r.ray, valid);
         std::fill_n(r.hit.geomID, 16, RTC_INVALID_GEOMETRY_ID);
 #if RTC_VERSION_MAJOR >= 4
         RTCIntersectArguments arguments;
@@ -105,20 +107,25 @@ class EmbreeObject final : public PeerObject {
         RTCIntersectContext context = coherent();
         rtcIntersect16(valid, scene_, &context, &r);
 #endif
-        packet.ids = &triangles_->ids();
         for (uint32_t i = 0; i < 16; ++i) {
-            if (!(packet.rays >> i & 1) || r.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
+            if (!(rays >> i & 1) || r.hit.geomID[i] == RTC_INVALID_GEOMETRY_ID) continue;
             packet.t_best[i] = r.ray.tfar[i];
             packet.u[i] = r.hit.u[i];
             packet.v[i] = r.hit.v[i];
             packet.shape[i] = r.hit.primID[i];
             packet.hit_in_row |= 1u << i;
+            packet.fresh &= ~(1u << i);
+            packet.owner[i] = owner(r.hit.instID[0][i], packet.instance);
         }
     }
-    void any_packet(RayPacket& packet) const override {
+    void any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override {
+        if (space.frame)
+            return each_alone(packet, space, rays, [&](auto& ray, auto& query) {
+                return EmbreeObject::any_local(ray, query);
+            });
         RTCRay16 r;
         alignas(64) int valid[16];
-        fill(packet, r, valid);
+        fill(packet, rays, r, valid);
 #if RTC_VERSION_MAJOR >= 4
         RTCOccludedArguments arguments;
         rtcInitOccludedArguments(&arguments);
@@ -129,7 +136,10 @@ class EmbreeObject final : public PeerObject {
         rtcOccluded16(valid, scene_, &context, &r);
 #endif
         for (uint32_t i = 0; i < 16; ++i)
-            if (packet.rays >> i & 1 && r.tfar[i] < 0) packet.found |= 1u << i;
+            if (rays >> i & 1 && r.tfar[i] < 0) {
+                packet.found |= 1u << i;
+                packet.t_cull[i] = -std::numeric_limits<float>::infinity();
+            }
     }
     void children(const std::function<void(const Primitive&)>& visit) const override {
         for (uint32_t i = 0; objects_ && i < objects_->size(); ++i) visit(objects_->object(i));
@@ -137,6 +147,17 @@ class EmbreeObject final : public PeerObject {
 
   private:
     uint64_t bytes() const override { return bytes_; }
+    /// @param object  that was hit, if this is over objects
+    RayPacket::Owner owner(uint32_t object, uint32_t instance) const {
+        if (triangles_) return {&triangles_->ids(), instance};
+        return {inside_[object], instance + objects_->entry(object).instance};
+    }
+    template <class Trace>
+    static void each_alone(RayPacket& packet, LocalPacket& space, uint32_t rays,
+                           const Trace& trace) {
+        for (uint32_t i = 0; i < 16; ++i)
+            if (rays >> i & 1) packet.alone(i, space, trace);
+    }
     template <class Add>
     void build(const EmbreeOptions& options, const Add& add) {
         const int64_t before = embree_bytes;
@@ -198,10 +219,10 @@ class EmbreeObject final : public PeerObject {
         return context;
     }
 #endif
-    static void fill(const RayPacket& packet, RTCRay16& r, int (&valid)[16]) {
+    static void fill(const RayPacket& packet, uint32_t rays, RTCRay16& r, int (&valid)[16]) {
         static_assert(RayPacket::most == 16);
         for (uint32_t i = 0; i < 16; ++i) {
-            valid[i] = packet.rays >> i & 1 ? -1 : 0;
+            valid[i] = rays >> i & 1 ? -1 : 0;
             r.org_x[i] = packet.origin[0][i], r.org_y[i] = packet.origin[1][i];
             r.org_z[i] = packet.origin[2][i];
             r.dir_x[i] = packet.direction[0][i], r.dir_y[i] = packet.direction[1][i];

@@ -25,7 +25,8 @@ namespace HWY_NAMESPACE {
 ///   template <Query, class Set, class Counters>
 ///   static bool run(structure, set, ray, query, counters)   // true: an `any` query is answered
 /// and, if it traces RayPackets, takes_packets(structure) and run_packet<Query>(structure, set,
-/// packet), and, if it traces RayCrowds, run_crowd<Query>(structure, set, crowd).
+/// packet, space, rays), and, if it traces RayCrowds, run_crowd<Query>(structure, set, crowd). All
+/// of them take a TraversalStart more if the structure Opens.
 /// Each override holds its own specialised copy of that traversal, so that over triangles a ray
 /// makes no indirect call below the virtual one. Counting is never timed and counts the same on
 /// every target, so counted traversals exist for the baseline only (`run_counted`).
@@ -75,23 +76,15 @@ class AcceleratedObject final : public Primitive {
         else
             return false;
     }
-    void closest_packet([[maybe_unused]] RayPacket& packet) const override {
-        if constexpr (has_packets)
-            Traversal::template run_packet<Query::closest>(structure_, *set_, packet);
+    void closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override {
+        trace_packet<Query::closest>(packet, space, rays);
     }
-    void any_packet([[maybe_unused]] RayPacket& packet) const override {
-        if constexpr (has_packets)
-            Traversal::template run_packet<Query::any>(structure_, *set_, packet);
+    void any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override {
+        trace_packet<Query::any>(packet, space, rays);
     }
     bool takes_crowds() const override { return has_crowds; }
-    void closest_crowd([[maybe_unused]] RayCrowd& crowd) const override {
-        if constexpr (has_crowds)
-            Traversal::template run_crowd<Query::closest>(structure_, *set_, crowd);
-    }
-    void any_crowd([[maybe_unused]] RayCrowd& crowd) const override {
-        if constexpr (has_crowds)
-            Traversal::template run_crowd<Query::any>(structure_, *set_, crowd);
-    }
+    void closest_crowd(RayCrowd& crowd) const override { trace_crowd<Query::closest>(crowd); }
+    void any_crowd(RayCrowd& crowd) const override { trace_crowd<Query::any>(crowd); }
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
         run_counted(Query::closest, structure_, *set_, ray, query, counters);
     }
@@ -156,6 +149,19 @@ class AcceleratedObject final : public Primitive {
     friend class AcceleratedPart<Structure, Traversal, Set>;
     using Part = AcceleratedPart<Structure, Traversal, Set>;
 
+    /// @param start  nothing, or a TraversalStart
+    template <Query Q, class... Start>
+    void trace_packet([[maybe_unused]] RayPacket& packet, [[maybe_unused]] LocalPacket& space,
+                      [[maybe_unused]] uint32_t rays, Start... start) const {
+        if constexpr (has_packets)
+            Traversal::template run_packet<Q>(structure_, *set_, packet, space, rays, start...);
+    }
+    template <Query Q, class... Start>
+    void trace_crowd([[maybe_unused]] RayCrowd& crowd, Start... start) const {
+        if constexpr (has_crowds)
+            Traversal::template run_crowd<Q>(structure_, *set_, crowd, start...);
+    }
+
     std::vector<PlacedPrimitive> open_from(const std::shared_ptr<const AcceleratedObject>& self,
                                            TraversalStart start) const {
         std::vector<PlacedPrimitive> parts;
@@ -196,6 +202,20 @@ class AcceleratedPart final : public Primitive {
         NoCounters none;
         return Traversal::template run<Query::any>(whole_->structure_, *whole_->set_, ray, query,
                                                    none, start_);
+    }
+    bool takes_packets() const override { return whole_->takes_packets(); }
+    void closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override {
+        whole_->template trace_packet<Query::closest>(packet, space, rays, start_);
+    }
+    void any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override {
+        whole_->template trace_packet<Query::any>(packet, space, rays, start_);
+    }
+    bool takes_crowds() const override { return Whole::has_crowds; }
+    void closest_crowd(RayCrowd& crowd) const override {
+        whole_->template trace_crowd<Query::closest>(crowd, start_);
+    }
+    void any_crowd(RayCrowd& crowd) const override {
+        whole_->template trace_crowd<Query::any>(crowd, start_);
     }
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
         run_counted(Query::closest, whole_->structure_, *whole_->set_, ray, query, counters,

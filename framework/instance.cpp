@@ -10,6 +10,7 @@
 #include "framework/archive.h"
 #include "framework/cost.h"
 #include "framework/ray_crowd.h"
+#include "framework/ray_packet.h"
 
 namespace crofton {
 namespace {
@@ -53,6 +54,26 @@ bool Instance::inside(const LocalRay& outer, const RayQuery& query, const Trace&
     return enter(frame, query, inner) && trace(inner);
 }
 
+template <class Trace, class Alone>
+void Instance::inside(const RayPacket& packet, const LocalPacket& outer, uint32_t rays,
+                      const Trace& trace, const Alone& alone) const {
+    constexpr int least = 4;
+    std::optional<InstanceFrame> composed;
+    if (outer.frame) composed = frame_in(*outer.frame);
+    LocalPacket inner;
+    const uint32_t images = inner.enter(composed ? *composed : frame_, packet, rays);
+    uint32_t left_alone = rays & ~images;
+    for (uint32_t left = images; left;) {
+        const uint32_t together = inner.one_way(left);
+        left &= ~together;
+        if (std::popcount(together) >= least)
+            trace(inner, together);
+        else
+            left_alone |= together;
+    }
+    for (; left_alone; left_alone &= left_alone - 1) alone(uint32_t(std::countr_zero(left_alone)));
+}
+
 template <class Trace>
 void Instance::inside(RayCrowd& outer, const Trace& trace) const {
     // The rays of a crowd are in one space, so the maps are composed once for all of them.
@@ -90,6 +111,29 @@ void Instance::closest_local(const LocalRay& ray, RayQuery& query) const {
 bool Instance::any_local(const LocalRay& ray, RayQuery& query) const {
     return inside(ray, query,
                   [&](const LocalRay& inner) { return object_->any_local(inner, query); });
+}
+
+void Instance::closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const {
+    inside(
+        packet, space, rays,
+        [&](LocalPacket& inner, uint32_t some) { object_->closest_packet(packet, inner, some); },
+        [&](uint32_t r) {
+            packet.alone(r, space, [&](const LocalRay& ray, RayQuery& query) {
+                Instance::closest_local(ray, query);
+                return false;
+            });
+        });
+}
+
+void Instance::any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const {
+    inside(
+        packet, space, rays,
+        [&](LocalPacket& inner, uint32_t some) { object_->any_packet(packet, inner, some); },
+        [&](uint32_t r) {
+            packet.alone(r, space, [&](const LocalRay& ray, RayQuery& query) {
+                return Instance::any_local(ray, query);
+            });
+        });
 }
 
 void Instance::closest_crowd(RayCrowd& crowd) const {

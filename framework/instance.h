@@ -28,6 +28,9 @@ class Instance final : public Primitive {
     bool any_local(const LocalRay& ray, RayQuery& query) const override;
     void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override;
     bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override;
+    bool takes_packets() const override { return object_->takes_packets(); }
+    void closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override;
+    void any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override;
     bool takes_crowds() const override { return object_->takes_crowds(); }
     void closest_crowd(RayCrowd& crowd) const override;
     void any_crowd(RayCrowd& crowd) const override;
@@ -46,6 +49,10 @@ class Instance final : public Primitive {
     /// trace(inner), unless the ray has no image in the object's space.
     template <class Trace>
     bool inside(const LocalRay& outer, const RayQuery& query, const Trace& trace) const;
+    /// trace(inner, rays) with those of a packet that go one way there, and alone(r) for others.
+    template <class Trace, class Alone>
+    void inside(const RayPacket& packet, const LocalPacket& outer, uint32_t rays,
+                const Trace& trace, const Alone& alone) const;
     /// trace(inner) with those of a crowd that have an image in the object's space.
     template <class Trace>
     void inside(RayCrowd& outer, const Trace& trace) const;

@@ -187,7 +187,7 @@ void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode m
     stream(
         rays, mode, [&](size_t i) { hits[i] = intersect(rays[i], mode); },
         [&](RayPacket& packet, size_t first) {
-            closest_packet(packet);
+            closest_packet(packet, packet.world, packet.rays);
             for (uint32_t left = packet.rays; left; left &= left - 1) {
                 const auto r = uint32_t(std::countr_zero(left));
                 hits[first + r] = packet.hit(r);
@@ -202,7 +202,7 @@ void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, 
     stream(
         rays, mode, [&](size_t i) { results[i] = occluded(rays[i], mode); },
         [&](RayPacket& packet, size_t first) {
-            any_packet(packet);
+            any_packet(packet, packet.world, packet.rays);
             for (uint32_t left = packet.rays; left; left &= left - 1) {
                 const auto r = uint32_t(std::countr_zero(left));
                 results[first + r] = packet.found >> r & 1;

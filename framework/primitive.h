@@ -61,6 +61,7 @@ class PartCache {
     std::unordered_map<const Primitive*, Opened> opened_;
 };
 
+class LocalPacket;
 struct RayPacket;
 struct RayCrowd;
 
@@ -108,10 +109,10 @@ class Primitive {
     virtual void closest_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
     virtual bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const = 0;
     /// Whether rays that go together can be traced together: see RayPacket. If not, the next two
-    /// are never called.
+    /// are never called. They trace `rays` (bits) of a packet, whose space is the object's.
     virtual bool takes_packets() const { return false; }
-    virtual void closest_packet(RayPacket&) const {}
-    virtual void any_packet(RayPacket&) const {}
+    virtual void closest_packet(RayPacket&, LocalPacket& /*space*/, uint32_t /*rays*/) const {}
+    virtual void any_packet(RayPacket&, LocalPacket& /*space*/, uint32_t /*rays*/) const {}
     /// Whether rays that go each its own way can be traced in turns: see RayCrowd. If not, the next
     /// two are never called.
     virtual bool takes_crowds() const { return false; }

@@ -94,10 +94,10 @@ void prepare_packet(RayPacket& p, uint32_t first) {
             const auto shift = hn::CopySign(pad, rcp);
             hn::Store(o, d, p.origin[a] + r);
             hn::Store(way[a], d, p.direction[a] + r);
-            hn::Store(rcp, d, p.rcp[a] + r);
-            hn::Store(hn::Mul(rcp, hn::Set(d, 1 + box_slack)), d, p.far_rcp[a] + r);
-            hn::Store(hn::Add(o, shift), d, p.near_origin[a] + r);
-            hn::Store(hn::Sub(o, shift), d, p.far_origin[a] + r);
+            hn::Store(rcp, d, p.world.rcp[a] + r);
+            hn::Store(hn::Mul(rcp, hn::Set(d, 1 + box_slack)), d, p.world.far_rcp[a] + r);
+            hn::Store(hn::Add(o, shift), d, p.world.near_origin[a] + r);
+            hn::Store(hn::Sub(o, shift), d, p.world.far_origin[a] + r);
         }
         const auto per_main = inverse[p.axis[2]];
         hn::Store(hn::Mul(way[p.axis[0]], per_main), d, p.shear[0] + r);
@@ -115,6 +115,55 @@ void prepare_packet(RayPacket& p, uint32_t first) {
     }
 }
 
+/// Operation by operation what crofton::enter does for one ray, as far as boxes need it.
+uint32_t enter_packet(LocalPacket& local, const InstanceFrame& frame, const RayPacket& p) {
+    uint32_t images = 0;
+    std::fill_n(local.down, 3, 0);
+    for (size_t r = 0; r < RayPacket::most; r += N) {
+        V o[3], d_in[3], way[3];
+        auto largest = hn::Zero(d);
+        for (int a = 0; a < 3; ++a) {
+            o[a] = hn::Load(d, p.origin[a] + r);
+            d_in[a] = hn::Load(d, p.direction[a] + r);
+        }
+        const auto column = [&](int k, int a) HWY_ATTR { return hn::Set(d, frame.column[k][a]); };
+        for (int a = 0; a < 3; ++a) {
+            way[a] =
+                hn::Add(hn::Add(hn::Mul(column(0, a), d_in[0]), hn::Mul(column(1, a), d_in[1])),
+                        hn::Mul(column(2, a), d_in[2]));
+            largest = hn::Max(largest, hn::Abs(way[a]));
+        }
+        const auto zero = hn::Zero(d), limit = hn::Div(hn::Set(d, rcp_limit), largest);
+        auto ordinary = hn::Gt(largest, zero);
+        for (int a = 0; a < 3; ++a) {
+            const auto x = hn::Mul(column(0, a), o[0]), y = hn::Mul(column(1, a), o[1]),
+                       z = hn::Mul(column(2, a), o[2]);
+            const auto from = hn::Add(hn::Add(x, y), hn::Add(z, column(3, a)));
+            const auto reach = hn::Add(hn::Add(hn::Abs(x), hn::Abs(y)), hn::Abs(z));
+            const auto size = hn::Abs(from);
+            const auto pad =
+                hn::Add(hn::Add(hn::MulAdd(reach, hn::Set(d, frame_pad), hn::Set(d, frame.pad[a])),
+                                hn::Set(d, magnitude_pad * frame.magnitude)),
+                        hn::Mul(size, hn::Set(d, origin_pad)));
+            // Finite, and so is the product of the origin and any rcp.
+            ordinary = hn::And(ordinary, hn::Eq(hn::Mul(way[a], zero), zero));
+            ordinary =
+                hn::And(ordinary, hn::Le(hn::Mul(hn::Add(size, pad), limit), hn::Set(d, 0x1p124f)));
+            const auto inverse = hn::Div(hn::Set(d, 1.0f), way[a]);
+            const auto rcp = hn::CopySign(hn::Min(hn::Abs(inverse), limit), way[a]);
+            const auto shift = hn::CopySign(pad, rcp);
+            const auto down = hn::Lt(hn::BitCast(i, rcp), hn::Zero(i));
+            local.down[a] |= mask_bits(d, hn::RebindMask(d, down)) << r;
+            hn::Store(rcp, d, local.rcp[a] + r);
+            hn::Store(hn::Mul(rcp, hn::Set(d, 1 + box_slack)), d, local.far_rcp[a] + r);
+            hn::Store(hn::Add(from, shift), d, local.near_origin[a] + r);
+            hn::Store(hn::Sub(from, shift), d, local.far_origin[a] + r);
+        }
+        images |= mask_bits(d, ordinary) << r;
+    }
+    return images;
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace crofton
 HWY_AFTER_NAMESPACE();
@@ -125,6 +174,7 @@ namespace {
 HWY_EXPORT(load_packet);
 HWY_EXPORT(alike);
 HWY_EXPORT(prepare_packet);
+HWY_EXPORT(enter_packet);
 
 uint32_t lowest(uint32_t bits) { return uint32_t(std::countr_zero(bits)); }
 /// The power of two in |x|.
@@ -171,16 +221,36 @@ uint32_t RayPacket::companions(uint32_t among) {
 
 void RayPacket::prepare(uint32_t companions) {
     rays = companions;
-    found = hit_in_row = are_single = 0;
+    found = hit_in_row = fresh = are_single = world.are_single_ = instance = depth = 0;
     HWY_DYNAMIC_DISPATCH(prepare_packet)(*this, lowest(companions));
 }
 
 void RayPacket::make_single(uint32_t r) {
     float same_scale;
-    Single& ray = singles[r];
-    crofton::prepare(source[r], magnitude, ray.query, ray.local, same_scale);
-    ray.query.mode = mode;
+    crofton::prepare(source[r], magnitude, queries[r], world.single_[r], same_scale);
+    queries[r].mode = mode;
     are_single |= 1u << r;
+    world.are_single_ |= 1u << r;
+}
+
+uint32_t LocalPacket::enter(const InstanceFrame& where, const RayPacket& packet, uint32_t rays) {
+    frame = &where;
+    are_single_ = 0;
+    return rays & HWY_DYNAMIC_DISPATCH(enter_packet)(*this, where, packet);
+}
+
+uint32_t LocalPacket::one_way(uint32_t rays) const {
+    const uint32_t first = rays & -rays;
+    for (const uint32_t bits : down) rays &= bits & first ? bits : ~bits;
+    return rays;
+}
+
+const LocalRay& LocalPacket::single(uint32_t r, const RayQuery& query) {
+    if (!(are_single_ >> r & 1)) {
+        crofton::enter(*frame, query, single_[r]);
+        are_single_ |= 1u << r;
+    }
+    return single_[r];
 }
 
 }  // namespace crofton

@@ -1,6 +1,8 @@
 #pragma once
 
+#include <bit>
 #include <cstdint>
+#include <limits>
 
 #include "framework/bounds.h"
 #include "framework/ray.h"
@@ -8,21 +10,47 @@
 
 namespace crofton {
 
+struct RayPacket;
+
+/// A packet's rays in one object's space, for box tests: see LocalRay.
+class LocalPacket {
+  public:
+    static constexpr uint32_t most = 16;
+    using Row = float[most];
+
+    LocalPacket() = default;
+    LocalPacket(const LocalPacket&) = delete;
+    LocalPacket& operator=(const LocalPacket&) = delete;
+
+    /// Brings rays of a packet into an object's space, as crofton::enter does it one by one.
+    /// @param where  referred to from then on
+    /// @return       bits of those that have an image there
+    uint32_t enter(const InstanceFrame& where, const RayPacket& packet, uint32_t rays);
+    /// Of rays the first, and those that go its way on every axis.
+    uint32_t one_way(uint32_t rays) const;
+    /// Ray r by itself. @param query  its own, see RayPacket::query
+    const LocalRay& single(uint32_t r, const RayQuery& query);
+
+    const InstanceFrame* frame = nullptr;  ///< null: this is world space
+    alignas(64) Row near_origin[3], far_origin[3], rcp[3], far_rcp[3];
+    uint32_t
+        down[3];  ///< bits of rays that go down an axis; not in world space, where all go alike
+
+  private:
+    friend struct RayPacket;
+    uint32_t are_single_ = 0;  ///< bits of rays that have gone alone
+    LocalRay single_[most];
+};
+
 /// Sixteen neighbours of a stream side by side, of which some start close to each other and go
 /// nearly the same way: what none of these can meet, a structure passes over once for all.
 ///
 /// They are set up together, to the bits as crofton::prepare does it one by one. A ray out of the
 /// ordinary (a defined miss, or one that `prepare` has a special case for) never takes part.
 struct RayPacket {
-    static constexpr uint32_t most = 16;
+    static constexpr uint32_t most = LocalPacket::most;
     static constexpr uint32_t everyone = ~0u >> (32 - most);
-    using Row = float[most];
-
-    /// A ray that goes some way by itself.
-    struct Single {
-        LocalRay local;
-        RayQuery query;
-    };
+    using Row = LocalPacket::Row;
 
     /// @param box        of the structure
     /// @param magnitude  see crofton::prepare
@@ -43,13 +71,41 @@ struct RayPacket {
     /// repeat the first of them, with nothing to look for.
     void prepare(uint32_t companions);
 
-    /// The state of ray r by itself, with what it has found so far.
-    Single& single(uint32_t r) {
+    /// The state of ray r by itself, with what it has found so far, in the object that the packet
+    /// is in.
+    RayQuery& query(uint32_t r) {
         const uint32_t bit = 1u << r;
         if (!(are_single & bit)) make_single(r);
-        if (hit_in_row & bit) singles[r].query.replace(t_best[r], u[r], v[r], *ids, shape[r]);
-        hit_in_row &= ~bit;
-        return singles[r];
+        if (hit_in_row & bit) {
+            queries[r].instance = owner_of(r).instance;
+            queries[r].replace(t_best[r], u[r], v[r], *owner_of(r).ids, shape[r]);
+            hit_in_row &= ~bit;
+        }
+        queries[r].instance = instance;
+        return queries[r];
+    }
+    /// Traces ray r by itself.
+    /// @param space  of the object that the packet is in
+    /// @param trace  (ray, query): returns whether an `any` query is answered
+    /// @return       whether the ray goes less far now
+    template <class F>
+    bool alone(uint32_t r, LocalPacket& space, const F& trace) {
+        RayQuery& q = query(r);
+        const float before = q.t_cull;
+        if (trace(space.single(r, q), q)) {
+            found |= 1u << r;
+            t_cull[r] = -std::numeric_limits<float>::infinity();
+            return true;
+        }
+        if (q.t_cull == before) return false;
+        t_best[r] = q.t_best;
+        t_cull[r] = q.t_cull;
+        return true;
+    }
+    /// Names the set whose shapes are recorded from now on.
+    void hits_are_of(const IdTable& ids) {
+        for (; fresh; fresh &= fresh - 1) owner[std::countr_zero(fresh)] = current;
+        current = {&ids, instance};
     }
     /// Whether the rays loaded last passed many nodes that hardly one of them would have met, as
     /// where triangles are much smaller than rays are apart.
@@ -58,9 +114,9 @@ struct RayPacket {
     /// What ray r hits.
     Hit hit(uint32_t r) const {
         const uint32_t bit = 1u << r;
-        if (!(hit_in_row & bit)) return are_single & bit ? singles[r].query.hit(scale) : Hit();
+        if (!(hit_in_row & bit)) return are_single & bit ? queries[r].hit(scale) : Hit();
         Hit hit;
-        ids->resolve(shape[r], 0, hit);
+        owner_of(r).ids->resolve(shape[r], owner_of(r).instance, hit);
         hit.t = t_best[r] * scale;
         hit.u = u[r];
         hit.v = v[r];
@@ -76,23 +132,39 @@ struct RayPacket {
     uint32_t rays = 0;  ///< bits of those that take part
     float scale;        ///< see crofton::prepare
     int axis[3];        ///< kx, ky, kz
-    /// See LocalRay and RayQuery; vectors by axis x, y, z.
-    alignas(64) Row origin[3], direction[3], near_origin[3], far_origin[3], rcp[3], far_rcp[3];
+    LocalPacket world;  ///< in which the packet begins
+    /// See RayQuery; vectors by axis x, y, z.
+    alignas(64) Row origin[3], direction[3];
     alignas(64) Row shear[3];
     alignas(64) Row t_min, t_low, t_best;
     alignas(64) Row t_cull;  ///< -inf where a ray looks for nothing any more
 
+    uint32_t instance;  ///< sum of the instance offsets on the path to the current object
+    /// Of objects inside objects. Where it is `deepest`, rays go on alone, so that objects may nest
+    /// deeper than stacks have room for packets.
+    uint32_t depth;
+    static constexpr uint32_t deepest = 4;
+
+    /// Where shapes belong that were hit.
+    struct Owner {
+        const IdTable* ids;  ///< of the set
+        uint32_t instance;
+    };
+    const Owner& owner_of(uint32_t r) const { return fresh >> r & 1 ? current : owner[r]; }
+
     uint32_t found;       ///< bits of rays whose `any` query is answered: they are occluded
     uint32_t hit_in_row;  ///< bits of rays whose closest hit so far is t_best and what follows;
                           ///< others have it in their own state, if there is one
-    const IdTable* ids;   ///< of the set that was hit
+    uint32_t fresh;       ///< of these, those that hit a shape of `current`
+    Owner current;
+    Owner owner[most];
     alignas(64) Row u, v;
     alignas(64) uint32_t shape[most];
 
     uint32_t are_single;  ///< bits of rays with a state of their own
     uint32_t visits;      ///< nodes and leaves that the rays loaded last passed together
     uint32_t encounters;  ///< of rays with leaves there
-    Single singles[most];
+    RayQuery queries[most];
 
   private:
     void make_single(uint32_t r);

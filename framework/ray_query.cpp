@@ -8,7 +8,6 @@ namespace {
 // For callers that are not compiled for every target.
 using namespace HWY_NAMESPACE::ray_setup;
 
-constexpr float pad_share = 0x1p-19f;
 alignas(16) constexpr float last_lane[4] = {0, 0, 0, 1};
 
 }  // namespace
@@ -30,7 +29,7 @@ InstanceFrame::InstanceFrame(const Transform& to_world, const Transform& to_obje
       magnitude(magnitudes.maxCoeff()) {
     const Vec3d reach =
         to_world.linear.cwiseAbs() * magnitudes.cast<double>() + to_world.translation.cwiseAbs();
-    const Vec3d thickness = pad_share * (to_object.linear.cwiseAbs() * reach);
+    const Vec3d thickness = frame_pad * (to_object.linear.cwiseAbs() * reach);
     for (int a = 0; a < 3; ++a) {
         for (int k = 0; k < 3; ++k) column[k][a] = float(to_object.linear(a, k));
         column[3][a] = float(to_object.translation[a]);
@@ -52,7 +51,7 @@ bool enter(const InstanceFrame& frame, const RayQuery& query, LocalRay& local) {
                 hn::Mul(z, hn::Broadcast<2>(d)));
     const auto reach =
         hn::Add(hn::Add(hn::Abs(hn::Mul(x, ox)), hn::Abs(hn::Mul(y, oy))), hn::Abs(hn::Mul(z, oz)));
-    const auto pad = hn::MulAdd(reach, hn::Set(f4, pad_share), hn::LoadU(f4, frame.pad));
+    const auto pad = hn::MulAdd(reach, hn::Set(f4, frame_pad), hn::LoadU(f4, frame.pad));
     const float largest = hn::GetLane(hn::MaxOfLanes(f4, hn::Abs(way)));
     if (!(largest > 0) || !finite3(way, way)) return false;
     local.frame = &frame;

@@ -82,6 +82,8 @@ struct LocalRay {
 
 /// Shares of an object's magnitude and of a ray's origin that `pad` has at least.
 inline constexpr float magnitude_pad = 0x1p-40f, origin_pad = 0x1p-22f;
+/// In an instance also of what the map adds up to, see InstanceFrame.
+inline constexpr float frame_pad = 0x1p-19f;
 /// Largest |rcp|, times max|d|.
 inline constexpr float rcp_limit = 0x1p60f;
 /// Relative widening of a far box distance. Two slab distances carry 3 roundings each, γ3 = 3u; a

@@ -6,6 +6,7 @@
 #include <functional>
 #include <random>
 
+#include "accelerators/opening.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
 #include "framework/primitive.h"
@@ -174,10 +175,10 @@ bool is_prepared(const RayPacket& packet, uint32_t r, const Ray& ray) {
         compare(packet.origin[a], local.origin[a]);
         compare(packet.direction[a], query.direction[a]);
         compare(packet.direction[a], local.direction[a]);
-        compare(packet.near_origin[a], local.near_origin[a]);
-        compare(packet.far_origin[a], local.far_origin[a]);
-        compare(packet.rcp[a], local.rcp[a]);
-        compare(packet.far_rcp[a], local.far_rcp[a]);
+        compare(packet.world.near_origin[a], local.near_origin[a]);
+        compare(packet.world.far_origin[a], local.far_origin[a]);
+        compare(packet.world.rcp[a], local.rcp[a]);
+        compare(packet.world.far_rcp[a], local.far_rcp[a]);
     }
     compare(packet.shear[0], query.shear_x);
     compare(packet.shear[1], query.shear_y);
@@ -261,6 +262,89 @@ TEST_CASE(
     CHECK(check_span(*top, picture(1), Mode::robust) > size_t{width} * height / 2);
 }
 
+std::shared_ptr<const Primitive> placed(std::shared_ptr<const Primitive> object,
+                                        const Transform& where) {
+    return std::make_shared<const Instance>(std::move(object), where);
+}
+
+std::shared_ptr<const Primitive> over(const char* accelerator_name,
+                                      std::vector<PlacedPrimitive> objects) {
+    return accelerator(accelerator_name)
+        .build(std::make_shared<const ObjectSet>(std::move(objects)), {});
+}
+
+/// The ground many times: where it is, twice at one place, turned, mirrored, flattened to almost
+/// nothing, and in instances of instances deeper than packets go.
+std::vector<PlacedPrimitive> placed_grounds(const std::shared_ptr<const Primitive>& ground) {
+    std::vector<PlacedPrimitive> objects{{ground, 7}, {ground, 3}};
+    uint32_t instance = 10;
+    for (const double angle : {0.02, 0.5, 1.6, 3.1})
+        objects.push_back({placed(ground, translation(Vec3d(0.3, 0.1 * angle, 0.02 * angle)) *
+                                              rotation(Vec3d(0.6, 0, 0.8), angle)),
+                           instance++});
+    objects.push_back({placed(ground, scaling(Vec3d(-0.7, 1, 1))), instance++});
+    objects.push_back({placed(ground, scaling(Vec3d(1, 1, 1e-6))), instance++});
+    std::shared_ptr<const Primitive> deep = ground;
+    for (int level = 0; level < 7; ++level) {
+        std::vector<PlacedPrimitive> both{
+            {deep, 0}, {placed(deep, translation(Vec3d(0.1, 0, 0))), 1u << level}};
+        deep = over("wide_bvh", std::move(both));
+        if (level % 2) deep = placed(deep, rotation(Vec3d(0, 0, 1), 0.1));
+    }
+    objects.push_back({deep, 100});
+    return objects;
+}
+
+TEST_CASE("ray packet: in objects and instances, however they are turned and nested") {
+    for (const char* leaves : {"full", "compact"}) {
+        const auto ground = bumpy_ground("wide_bvh", 20, {{"leaves", std::string(leaves)}});
+        const auto top = over("wide_bvh", placed_grounds(ground));
+        for (const Mode mode : {Mode::fast, Mode::robust, Mode::double_precision, Mode::exact}) {
+            CAPTURE(leaves, name_of(mode));
+            CHECK(check_span(*top, picture(1), mode) > size_t{width} * height / 2);
+        }
+        CHECK(check_span(*over("bvh", placed_grounds(ground)), picture(1), Mode::robust) > 0);
+    }
+}
+
+TEST_CASE("ray packet: in parts of opened objects") {
+    const auto ground = bumpy_ground("wide_bvh", 40);
+    OpenedObjects opened = open_overlapping(placed_grounds(ground), 4, OpeningRule::always);
+    REQUIRE(opened.opened > 0);
+    const auto top = over("wide_bvh", std::move(opened.objects));
+    const auto whole = over("wide_bvh", placed_grounds(ground));
+    const std::vector<Ray> rays = picture(1);
+    CHECK(check_span(*top, rays, Mode::robust) > size_t{width} * height / 2);
+    size_t wrong = 0;
+    for (const Ray& ray : rays) wrong += top->intersect(ray) != whole->intersect(ray);
+    CHECK(wrong == 0);
+}
+
+TEST_CASE("ray packet: rays stay together in what they enter together") {
+    const auto ground = bumpy_ground("wide_bvh", 20);
+    const auto deeper =
+        placed(over("wide_bvh", {{placed(ground, translation(Vec3d(0.1, 0, 0))), 1},
+                                 {placed(ground, translation(Vec3d(0, 0, -9))), 2}}),
+               rotation(Vec3d(1, 0, 0), 0.01));
+    const auto top =
+        over("wide_bvh", {{deeper, 5}, {placed(ground, translation(Vec3d(5, 5, 0))), 9}});
+    std::vector<Ray> rays(RayPacket::most);
+    for (uint32_t r = 0; r < RayPacket::most; ++r) {
+        rays[r].origin = Vec3f(0.3f, 0.4f, 1.5f);
+        rays[r].direction = Vec3f(0.1f + 0.003f * float(r % 4), 0.1f + 0.003f * float(r / 4), -1);
+    }
+    RayPacket packet(top->bounds(), 10, Mode::robust);
+    packet.load(rays.data());
+    REQUIRE(packet.companions(RayPacket::everyone) == RayPacket::everyone);
+    packet.prepare(RayPacket::everyone);
+    top->closest_packet(packet, packet.world, packet.rays);
+    CHECK(packet.are_single == 0);
+    for (uint32_t r = 0; r < RayPacket::most; ++r) {
+        CHECK(packet.hit(r).instance == 6);
+        CHECK(packet.hit(r) == top->intersect(rays[r]));
+    }
+}
+
 TEST_CASE("ray packet: sixteen nearly equal rays at every hard place") {
     for (const test::HardScene& scene : test::hard_scenes()) {
         if (!std::holds_alternative<std::shared_ptr<const TriangleSet>>(scene.set)) continue;
@@ -318,7 +402,7 @@ TEST_CASE("ray packet: it was futile where rays are far apart for the triangles 
         packet.load(rays.data());
         REQUIRE(packet.companions(RayPacket::everyone) == RayPacket::everyone);
         packet.prepare(RayPacket::everyone);
-        ground->closest_packet(packet);
+        ground->closest_packet(packet, packet.world, packet.rays);
         return packet.was_futile(RayPacket::most);
     };
     CHECK_FALSE(was_futile(20, 0.03f));
@@ -339,7 +423,7 @@ TEST_CASE("ray packet: where it passes what few rays meet these go on alone, and
     packet.load(rays.data());
     REQUIRE(packet.companions(RayPacket::everyone) == RayPacket::everyone);
     packet.prepare(RayPacket::everyone);
-    ground->closest_packet(packet);
+    ground->closest_packet(packet, packet.world, packet.rays);
     CHECK(packet.are_single != 0);
     CHECK(check_span(*ground, rays, Mode::robust) > 0);
 }
