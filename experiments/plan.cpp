@@ -98,6 +98,7 @@ struct Assignment {
     ChoicePointer top, objects;
     bool flatten = false;
     double opening = 0;
+    bool bake = true;
     std::vector<AssemblyPlan::Rule> rules;
     bool given = false;  ///< says anything at all
 };
@@ -134,12 +135,13 @@ Assignment read_assignment(ConfigTable& table, const Assignment& base, Choices& 
     out.objects = read_choice(table, "default", base.objects, choices);
     out.flatten = table.boolean("flatten", base.flatten);
     out.opening = table.real("opening", base.opening, 0, 1000);
+    out.bake = table.boolean("bake", base.bake);
     out.rules = read_rules(table, choices);
     if (out.flatten && !out.rules.empty())
         table.fail("node", table.what() + ": a flattened scene has no nodes to match");
     // By value: defaults are written back, and a resolved config must mean the same.
     out.given = base.given || table.has("top") || table.has("default") || out.flatten ||
-                out.opening > 1 || !out.rules.empty();
+                out.opening > 1 || !out.bake || !out.rules.empty();
     // A variant's own rules come first, so that they win.
     if (!out.flatten) out.rules.insert(out.rules.end(), base.rules.begin(), base.rules.end());
     return out;
@@ -187,8 +189,8 @@ Variant make_variant(const std::string& name, const Assignment& assignment) {
         variant.chooses = true;
         return variant;
     }
-    variant.plan = {assignment.top, assignment.objects, assignment.flatten, assignment.opening,
-                    assignment.rules};
+    variant.plan = {assignment.top,     assignment.objects, assignment.flatten,
+                    assignment.opening, assignment.bake,    assignment.rules};
     variant.canonical = canonical(variant.plan);
     variant.exact = !has_lod(variant.plan);
     variant.chooses = chooses_all(variant.plan);
@@ -218,6 +220,7 @@ std::string canonical(const AssemblyPlan& plan) {
     std::string text = "top=" + canonical(*plan.top);
     if (plan.flatten) return text + ";flat";
     text += ";default=" + canonical(*plan.objects);
+    if (!plan.bake) text += ";own spaces";
     if (plan.opening > 1) text += ";opening=" + to_string(ParameterValue(plan.opening));
     for (const auto& rule : plan.rules)
         text += ";" + rule.match + "=" + canonical(*rule.accelerator);

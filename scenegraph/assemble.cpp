@@ -13,6 +13,7 @@
 #include "framework/polygon_set.h"
 #include "framework/quadric_set.h"
 #include "framework/triangle_set.h"
+#include "scenegraph/baking.h"
 #include "scenegraph/shape_sets.h"
 
 namespace crofton {
@@ -55,8 +56,9 @@ class Assembler {
     Assembly run() {
         const auto start = Clock::now();
         resolve_rules();
+        if (plan_.bake && !plan_.flatten) standing_ = standing_nodes(scene_);
         result_.root =
-            plan_.flatten ? flattened() : group({}, plan_.top, plan_.objects, 0).primitive;
+            plan_.flatten ? flattened() : group({}, plan_.top, plan_.objects, {}, 0).primitive;
         result_.build_s = seconds_since(start);
         if (result_.inactive_instances > 0)
             result_.warnings.push_back(
@@ -116,13 +118,15 @@ class Assembler {
     }
 
     /// A structure over everything below `node` (its own mesh included), or over the whole scene.
+    /// @param world_from_node  if it is built in the world, else it is in its own space
     Built group(std::optional<uint32_t> node, const Choice& over, const Choice& objects,
-                int depth) {
+                const std::optional<Transform>& world_from_node, int depth) {
         const auto key = std::make_tuple(node ? int64_t(*node) : -1, over.get(), objects.get());
         if (const auto it = groups_.find(key); it != groups_.end()) return it->second;
         if (depth > 64)
             throw InputError("structures nest deeper than 64 levels at '" + paths_[*node] + "'");
 
+        const bool in_world = !node || world_from_node;
         std::vector<ObjectSet::Object> found;
         ShapeGroups groups;
         uint32_t instances = 0;
@@ -137,7 +141,7 @@ class Assembler {
                 open.push_back({*it, t * scene_.nodes[*it].parent_from_node});
         };
         if (node)
-            open.push_back({*node, {}});
+            open.push_back({*node, world_from_node.value_or(Transform{})});
         else
             push_children(scene_.roots, {});
         while (!open.empty()) {
@@ -151,9 +155,13 @@ class Assembler {
             const Choice rule = rule_of_[o.node];
             const bool own_group = rule && !n.children.empty() && !(node && o.node == *node);
             if (own_group) {
+                const Choice& inside = rule->inside ? rule->inside : objects;
+                const bool stays = stands(o.node) && in_world;
                 const Built inner =
-                    group(o.node, rule, rule->inside ? rule->inside : objects, depth + 1);
-                place(found, inner.primitive, o.group_from_node, instances, inner.instances);
+                    group(o.node, rule, inside,
+                          stays ? std::optional(o.group_from_node) : std::nullopt, depth + 1);
+                place(found, inner.primitive, stays ? Transform{} : o.group_from_node, instances,
+                      inner.instances);
                 instances += inner.instances;
                 continue;
             }
@@ -161,12 +169,17 @@ class Assembler {
             groups.push_back({uint32_t(found.size()), 0});
             if (n.mesh) {
                 const Choice choice = rule && n.children.empty() ? rule : objects;
-                const std::shared_ptr<const Primitive> object = mesh(*n.mesh, choice, o.node);
-                if (n.node_from_instance.empty()) {
-                    place(found, object, o.group_from_node, instances++, 1);
+                if (in_world && stands(o.node) && is_worth_baking(*n.mesh, o.group_from_node)) {
+                    place(found, mesh(*n.mesh, choice, o.node, &o.group_from_node), {}, instances++,
+                          1);
                 } else {
-                    for (const Transform& t : n.node_from_instance)
-                        place(found, object, o.group_from_node * t, instances++, 1);
+                    const std::shared_ptr<const Primitive> object = mesh(*n.mesh, choice, o.node);
+                    if (n.node_from_instance.empty()) {
+                        place(found, object, o.group_from_node, instances++, 1);
+                    } else {
+                        for (const Transform& t : n.node_from_instance)
+                            place(found, object, o.group_from_node * t, instances++, 1);
+                    }
                 }
             }
             push_children(n.children, o.group_from_node);
@@ -215,9 +228,18 @@ class Assembler {
         }
     }
 
+    bool stands(uint32_t node) const { return !standing_.empty() && standing_[node]; }
+    bool is_worth_baking(uint32_t m, const Transform& t) const {
+        // Boxes in the world may be so much larger for what an instance costs.
+        constexpr double most = 1.3;
+        return !t.is_identity() && Instance::is_valid(t) && area_ratio(scene_, m, t) <= most;
+    }
+
     /// One mesh in its own space: a structure for each kind of shape, and one over these if
     /// several.
-    std::shared_ptr<const Primitive> mesh(uint32_t m, const Choice& choice, uint32_t node) {
+    /// @param world_from_object  if it is not null, the mesh is built in the world
+    std::shared_ptr<const Primitive> mesh(uint32_t m, const Choice& choice, uint32_t node,
+                                          const Transform* world_from_object = nullptr) {
         const auto key = std::make_pair(m, choice.get());
         if (const auto it = meshes_.find(key); it != meshes_.end()) {
             if (it->second.entry < result_.entries.size())
@@ -225,7 +247,7 @@ class Assembler {
             return it->second.primitive;
         }
         ShapeSetBuilder builder(scene_);
-        builder.add_mesh(m, nullptr, 0);
+        builder.add_mesh(m, world_from_object, 0);
         std::shared_ptr<const Primitive> primitive = over_sets(builder, choice, {});
         meshes_[key] = {primitive, result_.entries.size()};
         note(paths_[node], choice, builder.shapes(), *primitive);
@@ -311,6 +333,7 @@ class Assembler {
     Assembly result_;
     std::vector<Choice> rule_of_;
     std::vector<std::string> paths_;
+    std::vector<bool> standing_;  ///< of each node; empty: none matters
     std::map<std::pair<uint32_t, const AcceleratorChoice*>, BuiltMesh> meshes_;
     std::map<std::tuple<int64_t, const AcceleratorChoice*, const AcceleratorChoice*>, Built>
         groups_;

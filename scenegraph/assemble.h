@@ -29,6 +29,10 @@ struct AssemblyPlan {
     /// Objects whose boxes overlap others are opened into parts, until the structures over objects
     /// hold this many times as many entries; at most 1: none. See open_overlapping.
     double opening = 0;
+    /// A mesh of triangles that stands in one place gets its structure there, and rays need not be
+    /// moved to enter it; unless its boxes would be much larger there than in its own space. false:
+    /// every object is in its own space, as an instance.
+    bool bake = true;
     /// A node matched by name, by path from a root ("Engine/Block/Piston"), or by glob over the
     /// path
     /// (`*`, `?`, `**` across levels). On a node with a mesh: the mesh's accelerator. On a node

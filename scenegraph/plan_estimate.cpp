@@ -189,7 +189,7 @@ const StructureChoice& default_structure() {
 
 bool chooses_all(const AssemblyPlan& plan) {
     return plan.top->type == "auto" && plan.objects->type == "auto" && !plan.flatten &&
-           plan.opening <= 1 && plan.rules.empty() && plan.top->parameters.empty() &&
+           plan.opening <= 1 && plan.bake && plan.rules.empty() && plan.top->parameters.empty() &&
            plan.objects->parameters.empty();
 }
 

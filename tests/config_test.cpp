@@ -111,6 +111,17 @@ TEST_CASE("config: nesting by name reaches the plan") {
     CHECK(plan.top->inside->type == "uniform_grid");
 }
 
+TEST_CASE("config: whether objects are baked reaches the plan, and tells variants apart") {
+    const ExperimentFile file = read(scene +
+                                     "[assign]\nbake = false\n[[variant]]\nname = \"a\"\n"
+                                     "[[variant]]\nname = \"b\"\nbake = true\n");
+    const std::vector<Variant>& variants = file.experiments.at(0).variants;
+    CHECK_FALSE(variants.at(0).plan.bake);
+    CHECK(variants.at(1).plan.bake);
+    CHECK(variants.at(0).canonical != variants.at(1).canonical);
+    CHECK(read(scene).experiments.at(0).variants.at(0).plan.bake);
+}
+
 TEST_CASE("config: opening reaches the plan, is checked, and tells variants apart") {
     const ExperimentFile file = read(scene +
                                      "[assign]\nopening = 2\n[[variant]]\nname = \"a\"\n"
