@@ -36,8 +36,13 @@ class PacketLeaves {
     HWY_INLINE bool test(uint32_t first, uint32_t count, uint32_t rays) {
         nearer_ = false;
         if constexpr (std::is_same_v<Set, ObjectSet>) {
-            for (uint32_t i = first; i < first + count; ++i)
-                enter_object(set_.entry(leaves_.references()[i]), rays);
+            for (uint32_t i = first; i < first + count; ++i) {
+                const ObjectSet::Entry& entry = set_.entry(leaves_.references()[i]);
+                static_assert(offsetof(Bounds3, upper) == 3 * sizeof(float));
+                // The box of one object alone is the leaf's.
+                enter_object(entry,
+                             count == 1 ? rays : rays & boxes_.meet(entry.bounds.lower.data(), 1));
+            }
             return nearer_;
         }
         if constexpr (std::is_same_v<Set, TriangleSet>)
@@ -75,8 +80,6 @@ class PacketLeaves {
 
     /// Brings rays that meet an object's box into it.
     HWY_INLINE void enter_object(const ObjectSet::Entry& entry, uint32_t rays) {
-        static_assert(offsetof(Bounds3, upper) == 3 * sizeof(float));
-        rays &= boxes_.meet(entry.bounds.lower.data(), 1);
         if (!rays) return;
         const Primitive& object = *entry.primitive;
         packet_.instance += entry.instance;

@@ -146,9 +146,7 @@ struct WideBvhTraversal {
             }
             counters.step();
             counters.cell(false);
-            if (test_leaf<Q>(set, leaves, WideChild::first(current), WideChild::count(current), ray,
-                             q, counters))
-                return true;
+            if (visit_leaf<Q>(set, leaves, current, ray, q, counters)) return true;
         pop:
             do {
                 if (top == stack) return false;
@@ -156,6 +154,16 @@ struct WideBvhTraversal {
             } while (t_near(*top) > q.t_cull);
             current = uint32_t(*top);
         }
+    }
+
+    template <Query Q, class Set, class Leaves, class C>
+    static HWY_INLINE bool visit_leaf(const Set& set, const Leaves& leaves, uint32_t leaf,
+                                      const LocalRay& ray, RayQuery& q, C& counters) {
+        const uint32_t first = WideChild::first(leaf), count = WideChild::count(leaf);
+        if constexpr (std::is_same_v<Set, ObjectSet>)
+            if (HWY_LIKELY(count == 1))  // its box is the leaf's
+                return trace_object<Q>(set.entry(leaves.references()[first]), ray, q, counters);
+        return test_leaf<Q>(set, leaves, first, count, ray, q, counters);
     }
 
     /// Puts e into [base, top), far to near.

@@ -219,7 +219,9 @@ class CrowdTraversal {
                 if (i >= count(*slot) || is_found(*slot)) continue;
                 const uint32_t object = leaves_.references()[WideChild::first(slot->current) + i];
                 float t_near, t_far;
-                if (meets_box(set_.entry(object).bounds, *slot->ray, *slot->query, t_near, t_far))
+                // The box of one object alone is the leaf's.
+                if (count(*slot) == 1 ||
+                    meets_box(set_.entry(object).bounds, *slot->ray, *slot->query, t_near, t_far))
                     visits[size++] = {object, slot};
             }
             std::sort(visits, visits + size,
@@ -238,7 +240,7 @@ class CrowdTraversal {
             !entry.primitive->takes_crowds()) {
             NoCounters none;
             for (const Visit& visit : visits)
-                if (enter_object<Q>(set_, object, *visit.slot->ray, *visit.slot->query, none))
+                if (trace_object<Q>(entry, *visit.slot->ray, *visit.slot->query, none))
                     set_found(*visit.slot);
             return;
         }

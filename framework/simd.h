@@ -522,12 +522,10 @@ HWY_INLINE bool meets_box(const Bounds3& b, const LocalRay& ray, const RayQuery&
     return near <= far;
 }
 
+/// Traces a ray in an object whose box it meets.
 template <Query Q, class C>
-HWY_INLINE bool enter_object(const ObjectSet& set, uint32_t i, const LocalRay& ray, RayQuery& q,
+HWY_INLINE bool trace_object(const ObjectSet::Entry& entry, const LocalRay& ray, RayQuery& q,
                              C& counters) {
-    const ObjectSet::Entry& entry = set.entry(i);
-    float t_near, t_far;
-    if (!meets_box(entry.bounds, ray, q, t_near, t_far)) return false;
     const uint32_t outer = q.instance;
     q.instance = outer + entry.instance;
     bool found = false;
@@ -544,6 +542,15 @@ HWY_INLINE bool enter_object(const ObjectSet& set, uint32_t i, const LocalRay& r
     }
     q.instance = outer;
     return found;
+}
+
+template <Query Q, class C>
+HWY_INLINE bool enter_object(const ObjectSet& set, uint32_t i, const LocalRay& ray, RayQuery& q,
+                             C& counters) {
+    const ObjectSet::Entry& entry = set.entry(i);
+    float t_near, t_far;
+    return meets_box(entry.bounds, ray, q, t_near, t_far) &&
+           trace_object<Q>(entry, ray, q, counters);
 }
 
 template <Query Q, class C>

@@ -65,7 +65,7 @@ void Outlook::learn_from_pilot(double factor) {
 void Outlook::learn_placing(double ratio) {
     if (!std::isfinite(ratio) || ratio <= 0) return;
     // Of a few shapes an object's cost is more than of many; seen over fourteen models.
-    constexpr double power = 0.75, spread = 0.15;
+    constexpr double power = 0.75, spread = 0.12;
     placing_spread_ = spread;
     const double factor = std::pow(ratio, power) / nested_factor;
     for (size_t i = 0; i < size(); ++i) {

@@ -12,7 +12,7 @@ namespace crofton {
 /// Rays meet several objects where boxes overlap, and a call and a transform each: what nesting
 /// and opening cost a ray over one structure for all, in scenes with several placements, and the
 /// standard deviation of its logarithm from scene to scene.
-inline constexpr double nested_factor = 1.25, opened_factor = 1.22, placing_spread = 0.22;
+inline constexpr double nested_factor = 1.15, opened_factor = 1.13, placing_spread = 0.15;
 
 /// How a scene's structures are to be chosen.
 struct AutoOptions {

@@ -496,7 +496,7 @@ TEST_CASE("auto: of what is expected to be about as good, the shortest build com
 
 TEST_CASE("auto: how nesting compares on a thinned scene scales what is nested, and nothing else") {
     const AutoOptions options = counted_for(1e6);
-    Candidate nested = candidate("nested", 0.001, 125);
+    Candidate nested = candidate("nested", 0.001, 100 * nested_factor);
     nested.choice.placing = PlanChoice::Placing::nested;
     Outlook outlook({candidate("flat", 0.001, 100), nested}, options, 10000);
     outlook.learn_placing(1);
