@@ -81,23 +81,8 @@ class PacketLeaves {
     /// Brings rays that meet an object's box into it.
     HWY_INLINE void enter_object(const ObjectSet::Entry& entry, uint32_t rays) {
         if (!rays) return;
-        const Primitive& object = *entry.primitive;
         packet_.instance += entry.instance;
-        if (hwy::PopCount(rays) >= least_together && packet_.depth < RayPacket::deepest &&
-            object.takes_packets()) {
-            ++packet_.depth;
-            Q == Query::any ? object.any_packet(packet_, space_, rays)
-                            : object.closest_packet(packet_, space_, rays);
-            --packet_.depth;
-            nearer_ = true;
-        } else {
-            for (; rays; rays &= rays - 1)
-                alone(lowest(rays), [&](const LocalRay& ray, RayQuery& query) {
-                    if constexpr (Q == Query::any) return object.any_local(ray, query);
-                    object.closest_local(ray, query);
-                    return false;
-                });
-        }
+        nearer_ |= packet_.enter<Q>(*entry.primitive, space_, rays);
         packet_.instance -= entry.instance;
     }
 

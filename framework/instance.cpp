@@ -54,24 +54,24 @@ bool Instance::inside(const LocalRay& outer, const RayQuery& query, const Trace&
     return enter(frame, query, inner) && trace(inner);
 }
 
-template <class Trace, class Alone>
-void Instance::inside(const RayPacket& packet, const LocalPacket& outer, uint32_t rays,
-                      const Trace& trace, const Alone& alone) const {
-    constexpr int least = 4;
+template <Query Q>
+void Instance::inside(RayPacket& packet, LocalPacket& outer, uint32_t rays) const {
     std::optional<InstanceFrame> composed;
     if (outer.frame) composed = frame_in(*outer.frame);
     LocalPacket inner;
     const uint32_t images = inner.enter(composed ? *composed : frame_, packet, rays);
-    uint32_t left_alone = rays & ~images;
     for (uint32_t left = images; left;) {
         const uint32_t together = inner.one_way(left);
+        packet.enter<Q>(*object_, inner, together);
         left &= ~together;
-        if (std::popcount(together) >= least)
-            trace(inner, together);
-        else
-            left_alone |= together;
     }
-    for (; left_alone; left_alone &= left_alone - 1) alone(uint32_t(std::countr_zero(left_alone)));
+    for (uint32_t left = rays & ~images; left; left &= left - 1)
+        packet.alone(uint32_t(std::countr_zero(left)), outer,
+                     [&](const LocalRay& ray, RayQuery& query) {
+                         if constexpr (Q == Query::any) return Instance::any_local(ray, query);
+                         Instance::closest_local(ray, query);
+                         return false;
+                     });
 }
 
 template <class Trace>
@@ -114,26 +114,11 @@ bool Instance::any_local(const LocalRay& ray, RayQuery& query) const {
 }
 
 void Instance::closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const {
-    inside(
-        packet, space, rays,
-        [&](LocalPacket& inner, uint32_t some) { object_->closest_packet(packet, inner, some); },
-        [&](uint32_t r) {
-            packet.alone(r, space, [&](const LocalRay& ray, RayQuery& query) {
-                Instance::closest_local(ray, query);
-                return false;
-            });
-        });
+    inside<Query::closest>(packet, space, rays);
 }
 
 void Instance::any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const {
-    inside(
-        packet, space, rays,
-        [&](LocalPacket& inner, uint32_t some) { object_->any_packet(packet, inner, some); },
-        [&](uint32_t r) {
-            packet.alone(r, space, [&](const LocalRay& ray, RayQuery& query) {
-                return Instance::any_local(ray, query);
-            });
-        });
+    inside<Query::any>(packet, space, rays);
 }
 
 void Instance::closest_crowd(RayCrowd& crowd) const {

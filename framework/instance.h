@@ -49,10 +49,9 @@ class Instance final : public Primitive {
     /// trace(inner), unless the ray has no image in the object's space.
     template <class Trace>
     bool inside(const LocalRay& outer, const RayQuery& query, const Trace& trace) const;
-    /// trace(inner, rays) with those of a packet that go one way there, and alone(r) for others.
-    template <class Trace, class Alone>
-    void inside(const RayPacket& packet, const LocalPacket& outer, uint32_t rays,
-                const Trace& trace, const Alone& alone) const;
+    /// Traces rays of a packet, those together that go one way in the object's space.
+    template <Query Q>
+    void inside(RayPacket& packet, LocalPacket& outer, uint32_t rays) const;
     /// trace(inner) with those of a crowd that have an image in the object's space.
     template <class Trace>
     void inside(RayCrowd& outer, const Trace& trace) const;

@@ -13,6 +13,8 @@
 #include "framework/parallel.h"
 #include "framework/polygon_set.h"
 #include "framework/quadric_set.h"
+#include "framework/ray_crowd.h"
+#include "framework/ray_packet.h"
 #include "framework/triangle_set.h"
 
 namespace crofton {
@@ -241,6 +243,26 @@ const Primitive& LazyObject::build_now() const {
     build_ = nullptr;
     built_.store(owner_.get(), std::memory_order_release);
     return *owner_;
+}
+
+void LazyObject::closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const {
+    packet.enter<Query::closest>(object(), space, rays);
+}
+
+void LazyObject::any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const {
+    packet.enter<Query::any>(object(), space, rays);
+}
+
+void LazyObject::closest_crowd(RayCrowd& crowd) const {
+    if (object().takes_crowds()) return object().closest_crowd(crowd);
+    for (uint32_t i = 0; i < crowd.size; ++i)
+        object().closest_local(*crowd.local[i], *crowd.query[i]);
+}
+
+void LazyObject::any_crowd(RayCrowd& crowd) const {
+    if (object().takes_crowds()) return object().any_crowd(crowd);
+    for (uint32_t i = 0; i < crowd.size; ++i)
+        if (object().any_local(*crowd.local[i], *crowd.query[i])) crowd.found |= uint64_t(1) << i;
 }
 
 double LazyObject::expected_cost() const { return built() ? built()->expected_cost() : cost_; }

@@ -51,6 +51,13 @@ class LazyObject final : public Primitive {
     bool any_local(const LocalRay& ray, RayQuery& query, Counters& counters) const override {
         return object().any_local(ray, query, counters);
     }
+    /// What is built may trace them one by one.
+    bool takes_packets() const override { return true; }
+    void closest_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override;
+    void any_packet(RayPacket& packet, LocalPacket& space, uint32_t rays) const override;
+    bool takes_crowds() const override { return true; }
+    void closest_crowd(RayCrowd& crowd) const override;
+    void any_crowd(RayCrowd& crowd) const override;
     double expected_cost() const override;
     StructureStatistics statistics() const override;
     std::string type_name() const override { return "lazy"; }

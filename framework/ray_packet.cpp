@@ -9,6 +9,7 @@
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
 
+#include "framework/primitive.h"
 #include "framework/simd.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -232,6 +233,28 @@ void RayPacket::make_single(uint32_t r) {
     are_single |= 1u << r;
     world.are_single_ |= 1u << r;
 }
+
+template <Query Q>
+bool RayPacket::enter(const Primitive& object, LocalPacket& space, uint32_t some) {
+    constexpr int least_together = 4;
+    if (std::popcount(some) >= least_together && depth < deepest && object.takes_packets()) {
+        ++depth;
+        Q == Query::any ? object.any_packet(*this, space, some)
+                        : object.closest_packet(*this, space, some);
+        --depth;
+        return true;
+    }
+    bool nearer = false;
+    for (; some; some &= some - 1)
+        nearer |= alone(lowest(some), space, [&](const LocalRay& ray, RayQuery& query) {
+            if constexpr (Q == Query::any) return object.any_local(ray, query);
+            object.closest_local(ray, query);
+            return false;
+        });
+    return nearer;
+}
+template bool RayPacket::enter<Query::closest>(const Primitive&, LocalPacket&, uint32_t);
+template bool RayPacket::enter<Query::any>(const Primitive&, LocalPacket&, uint32_t);
 
 uint32_t LocalPacket::enter(const InstanceFrame& where, const RayPacket& packet, uint32_t rays) {
     frame = &where;

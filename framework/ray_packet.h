@@ -10,6 +10,7 @@
 
 namespace crofton {
 
+class Primitive;
 struct RayPacket;
 
 /// A packet's rays in one object's space, for box tests: see LocalRay.
@@ -102,6 +103,11 @@ struct RayPacket {
         t_cull[r] = q.t_cull;
         return true;
     }
+    /// Traces rays in an object that they are at: together where it can, else one by one.
+    /// @param space  the object's
+    /// @return       whether it may be that some go less far now
+    template <Query Q>
+    bool enter(const Primitive& object, LocalPacket& space, uint32_t rays);
     /// Names the set whose shapes are recorded from now on.
     void hits_are_of(const IdTable& ids) {
         for (; fresh; fresh &= fresh - 1) owner[std::countr_zero(fresh)] = current;
@@ -143,7 +149,7 @@ struct RayPacket {
     /// Of objects inside objects. Where it is `deepest`, rays go on alone, so that objects may nest
     /// deeper than stacks have room for packets.
     uint32_t depth;
-    static constexpr uint32_t deepest = 4;
+    static constexpr uint32_t deepest = 8;
 
     /// Where shapes belong that were hit.
     struct Owner {

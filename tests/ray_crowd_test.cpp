@@ -117,10 +117,12 @@ TEST_CASE("ray crowd: objects receive crowds, at any depth, and give the bits of
         std::vector<std::array<uint32_t, 3>> triangles;
         test::icosphere(2, positions, triangles);
         const auto set = std::make_shared<const TriangleSet>(positions, triangles);
-        const std::shared_ptr<const Primitive> balls[] = {accelerator("wide_bvh").build(set, {}),
-                                                          accelerator("kdtree").build(set, {})};
+        const ParameterValues lazy = {{"lazy", true}, {"lazy_size", int64_t(32)}};
+        const std::shared_ptr<const Primitive> balls[] = {
+            accelerator("wide_bvh").build(set, {}), accelerator("kdtree").build(set, {}),
+            accelerator("wide_bvh").build(set, lazy), accelerator("kdtree").build(set, lazy)};
         test::Random random(5);
-        // Turned balls that overlap, of which every fifth is no wide_bvh; and worlds of such
+        // Turned balls that overlap, of which some are no wide_bvh or lazy; and worlds of such
         // worlds.
         std::shared_ptr<const Primitive> world = balls[0];
         for (int level = 0; level < 7; ++level) {
@@ -131,7 +133,7 @@ TEST_CASE("ray crowd: objects receive crowds, at any depth, and give the bits of
                                              random.direction().cast<double>());
                 place.linear = (level == 0 ? 0.4 : 0.7) * turn.toRotationMatrix();
                 place.translation = random.point(1).cast<double>();
-                const auto& inside = level == 0 && i % 5 == 4 ? balls[1] : world;
+                const auto& inside = level == 0 && i % 5 > 1 ? balls[i % 5 - 1] : world;
                 objects.push_back({std::make_shared<const Instance>(inside, place), 1000 * i});
             }
             world = wide_bvh_of(objects);

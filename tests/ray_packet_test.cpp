@@ -307,6 +307,16 @@ TEST_CASE("ray packet: in objects and instances, however they are turned and nes
     }
 }
 
+TEST_CASE("ray packet: in lazy structures, of what takes packets and of what does not") {
+    for (const char* name : {"wide_bvh", "bvh"}) {
+        CAPTURE(name);
+        const auto ground = bumpy_ground(name, 60, {{"lazy", true}, {"lazy_size", int64_t(256)}});
+        REQUIRE(ground->takes_packets());
+        CHECK(check_span(*ground, picture(1), Mode::robust) > size_t{width} * height / 2);
+        CHECK(check_span(*over("wide_bvh", placed_grounds(ground)), picture(1), Mode::robust) > 0);
+    }
+}
+
 TEST_CASE("ray packet: in parts of opened objects") {
     const auto ground = bumpy_ground("wide_bvh", 40);
     OpenedObjects opened = open_overlapping(placed_grounds(ground), 4, OpeningRule::always);
