@@ -31,7 +31,7 @@ struct Observation {
     double structure_bytes;
     std::vector<RayCost> rays;  ///< counters and time of each set of rays
     /// Powers that costs grow with from the scene thinned to the whole one; none for small scenes.
-    std::optional<double> thin_ray, thin_build;
+    std::optional<double> thin_apart, thin_build, thin_together;
 };
 
 /// Builds until the median is steady enough; what is dear, once.
@@ -110,19 +110,23 @@ void observe_thinned(const AssemblyPlan& plan, Observation& o, const Primitive& 
     const double thin_seconds = build_seconds(thin, plan, assembly);
     const double shapes = double(statistics(thin).shapes_instanced);
     const double powers = std::log(double(o.sample->count) / shapes);
-    std::vector<double> ratios;
+    std::vector<double> apart;
     for (const std::vector<Ray>* rays : reference.sets) {
         const std::vector<Ray> some = timed_rays(*rays, whole, *assembly.root);
-        ratios.push_back(time_ratio(whole, *assembly.root, {some, false, Mode::robust}));
+        const double ratio = time_ratio(whole, *assembly.root, {some, false, Mode::robust});
+        if (rays == &o.sample->view)
+            o.thin_together = std::log(ratio) / powers;
+        else
+            apart.push_back(ratio);
     }
-    o.thin_ray = std::log(geometric_mean(ratios)) / powers;
+    o.thin_apart = std::log(geometric_mean(apart)) / powers;
     o.thin_build = std::log(seconds / thin_seconds) / powers;
 }
 
 Observation observe(const StructureChoice& choice, const CalibrationScene& sample,
                     Reference& reference) {
     const AssemblyPlan plan = flat_plan(choice);
-    Observation o{&sample, 0, 0, 0, 0, 0, {}, {}, {}};
+    Observation o{&sample, 0, 0, 0, 0, 0, {}, {}, {}, {}};
     Assembly assembly;
     double seconds = build_seconds(sample.scene, plan, assembly);
     if (choice.parameters.contains("lazy")) {
@@ -159,11 +163,16 @@ void set_coherence(StructureCosts& costs, const std::vector<Observation>& observ
 }
 
 void set_thinned(StructureCosts& costs, const std::vector<Observation>& observations) {
-    double ray = 0, build = 0;
-    int n = 0;
-    for (const Observation& o : observations)
-        if (o.thin_ray) ray += *o.thin_ray, build += *o.thin_build, ++n;
-    if (n > 0) costs.thin_ray = ray / n, costs.thin_build = build / n;
+    const auto set = [&](double& power, const std::optional<double> Observation::*observed) {
+        double sum = 0;
+        int n = 0;
+        for (const Observation& o : observations)
+            if (o.*observed) sum += *(o.*observed), ++n;
+        if (n > 0) power = sum / n;
+    };
+    set(costs.thin_apart, &Observation::thin_apart);
+    set(costs.thin_build, &Observation::thin_build);
+    set(costs.thin_together, &Observation::thin_together);
 }
 
 /// A power of what OrderCost says, by least squares of logarithms. The spread is what is left.

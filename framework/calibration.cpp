@@ -43,7 +43,7 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("shapes", ConfigValue::of(s.shapes));
     table.set("spread", array_of({s.ray_spread, s.build_spread}));
     table.set("order", array_of({s.order_scale, s.order_power}));
-    table.set("thinned", array_of({s.thin_ray, s.thin_build}));
+    table.set("thinned", array_of({s.thin_apart, s.thin_build, s.thin_together}));
     table.set("coherence", array_of({s.together, s.apart}));
     table.set("test_share", ConfigValue::of(s.test_share));
     table.set("counted",
@@ -91,8 +91,8 @@ StructureCosts read_structure(ConfigTable& table) {
     s.ray_spread = spread[0], s.build_spread = spread[1];
     const std::vector<double> order = required(table, "order", 2);
     s.order_scale = order[0], s.order_power = order[1];
-    const std::vector<double> thinned = required(table, "thinned", 2);
-    s.thin_ray = thinned[0], s.thin_build = thinned[1];
+    const std::vector<double> thinned = required(table, "thinned", 3);
+    s.thin_apart = thinned[0], s.thin_build = thinned[1], s.thin_together = thinned[2];
     const std::vector<double> coherence = required(table, "coherence", 2);
     s.together = coherence[0], s.apart = coherence[1];
     s.test_share = table.real("test_share", 0, 0, 1);

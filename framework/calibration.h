@@ -63,9 +63,9 @@ struct StructureCosts {
     double per_ray = 0, per_step = 0, per_test = 0, per_doubling = 0;
     double fit_error = 0;  ///< median |predicted / measured - 1| over the calibration's own scenes
 
-    /// Of a scene over itself thinned (see thinned): ns per ray and seconds of the build grow with
-    /// these powers of the numbers of shapes.
-    double thin_ray = 0.15, thin_build = 1;
+    /// Of a scene over itself thinned (see thinned): ns per ray of rays that go apart, and seconds
+    /// of the build, grow with these powers of the numbers of shapes.
+    double thin_apart = 0.15, thin_build = 1;
 
     /// ns per ray over those of growth, which are means over all: of rays from one point, as from a
     /// camera, neighbours together, and of all others.
@@ -74,6 +74,9 @@ struct StructureCosts {
     /// Share of a ray's time that tests of shapes take: what rays cost more where shapes are dearer
     /// to test than the calibration's.
     double test_share = 0;
+
+    /// As thin_apart, of neighbours together: in a thinned scene more of them pass as one.
+    double thin_together = 0.3;
 
     /// At any number of shapes >= 1.
     GrowthPoint at(double shapes) const;

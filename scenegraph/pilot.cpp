@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 
 #include "framework/clock.h"
 #include "scenegraph/thinned.h"
@@ -32,14 +33,20 @@ double traced_seconds(const Primitive& root, std::span<const Ray> rays, const Ra
 }  // namespace
 
 std::vector<Ray> some_of(std::span<const Ray> rays, size_t count) {
-    constexpr size_t run = 32, parts = observed_parts;
+    constexpr size_t run = 16, parts = observed_parts;
     count = std::min(count, rays.size());
-    // So many that every part has one.
+    // So many that every part has some.
     const size_t length = std::clamp<size_t>(count / (4 * parts), 1, run), runs = count / length;
+    const double stretch = double(rays.size()) / double(std::max<size_t>(1, runs));
     std::vector<Ray> out;
     for (size_t part = 0; part < parts; ++part)
         for (size_t r = part; r < runs; r += parts) {
-            const size_t first = r * (rays.size() - length) / std::max<size_t>(1, runs - 1);
+            // At steps of one length they might all be at one side of a picture.
+            double whole;
+            const double within = std::modf(double(r) * std::numbers::phi, &whole);
+            const auto first =
+                std::min(size_t(stretch * double(r) + within * (stretch - double(length))),
+                         rays.size() - length);
             out.insert(out.end(), rays.begin() + long(first), rays.begin() + long(first + length));
         }
     return out;
@@ -83,6 +90,15 @@ Pilot::Pilot(const Scene& scene, const SceneCounts& counts, double shapes, size_
     thin_counts_.weight = counts.weight;
 }
 
+namespace {
+
+/// The power of shapes that ns per ray grow with from a thinned scene.
+double thin_ray(const StructureCosts& costs, Coherence coherence) {
+    return coherence == Coherence::together ? costs.thin_together : costs.thin_apart;
+}
+
+}  // namespace
+
 /// Shapes of the scene for one of the thinned scene.
 double Pilot::growth() const {
     return std::max(1.0, counts_.placed()) / std::max(1.0, thin_counts_.placed());
@@ -106,7 +122,8 @@ double Pilot::ratio(const PlanChoice& choice, const PlanChoice& other, const Ray
     };
     const double thin = options.clock ? time_ratio(*built(choice).root, *built(other).root, sample)
                                       : counted(choice) / counted(other);
-    return thin * std::pow(growth(), own->thin_ray - others->thin_ray);
+    const Coherence coherence = options.objective.coherence;
+    return thin * std::pow(growth(), thin_ray(*own, coherence) - thin_ray(*others, coherence));
 }
 
 CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
@@ -128,7 +145,7 @@ CostEstimate Pilot::estimate(const PlanChoice& choice, const AssemblyPlan& plan,
     };
     const double ns = options.clock ? observed_ns(*assembly.root, sample) : counted();
     if (factor) *factor = ns / counted();
-    full.ns_per_ray = ns * std::pow(growth(), costs->thin_ray);
+    full.ns_per_ray = ns * std::pow(growth(), thin_ray(*costs, options.objective.coherence));
     if (options.clock && !is_lazy(choice.structure))
         full.build_s = median(std::move(seconds)) * std::pow(growth(), costs->thin_build);
     // A thinned mesh shares few corners, and on shared ones the patches of wide_bvh live.

@@ -352,6 +352,22 @@ TEST_CASE(
     CHECK(some_of({}, 100).empty());
 }
 
+TEST_CASE("auto: a sample of a picture is from all of its columns, whatever their number") {
+    for (const size_t width : {150u, 173u, 200u, 256u, 400u, 1000u}) {
+        std::vector<Ray> rays(30000);
+        for (size_t i = 0; i < rays.size(); ++i)
+            rays[i].origin[0] = float(i % width) / float(width);
+        for (const size_t count : {512u, 1024u, 2048u, 4096u}) {
+            CAPTURE(width, count);
+            std::array<size_t, 8> columns{};
+            const std::vector<Ray> some = some_of(rays, count);
+            for (const Ray& ray : some) ++columns[size_t(8 * ray.origin.x())];
+            CHECK(*std::min_element(columns.begin(), columns.end()) >= some.size() / 24);
+            CHECK(*std::max_element(columns.begin(), columns.end()) <= some.size() / 4);
+        }
+    }
+}
+
 TEST_CASE("auto: a scattered order of the shapes costs more tests and nodes than a tidy one") {
     Scene tidy = make_scene("terrain", {{"n", 64.0}});
     Scene scattered = tidy;
@@ -387,7 +403,7 @@ TEST_CASE("auto: what a thinned scene's rays cost grows as calibrations say") {
     const auto ns = [&](double power) {
         Calibration c = three();
         c.structures.push_back(costs("wide_bvh", 10, 20, 100));
-        c.structures.back().thin_ray = power;
+        c.structures.back().thin_apart = power;
         return pilot
             .estimate(choice, plan_of(choice), {rays, false, Mode::robust}, counted_for(1e6), c)
             .ns_per_ray;
