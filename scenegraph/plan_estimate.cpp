@@ -80,6 +80,15 @@ PlanChoice plan_choice(const StructureChoice& structure, PlanChoice::Placing pla
     return {names[int(placing)] + structure.name, structure, placing};
 }
 
+double nested_factor(const StructureChoice& structure, Coherence coherence) {
+    const bool together = coherence == Coherence::together;
+    return is_blind(structure) ? (together ? 1.0 : 1.14) : (together ? 1.07 : 1.24);
+}
+
+double nested_factor(const StructureChoice& structure, double thinned_ratio) {
+    return (is_blind(structure) ? 0.94 : 1.02) * std::pow(thinned_ratio, 0.62);
+}
+
 AssemblyPlan plan_of(const PlanChoice& choice) {
     AssemblyPlan plan;
     plan.top = plan.objects = choice_of(choice.structure);
@@ -162,7 +171,7 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
             choice.structure, counts, counts.placements * (opened ? 2 : 1), objective, calibration);
         e.build_s = nested.build_s;
         e.bytes = nested.bytes;
-        e.ns_per_ray *= opened ? opened_factor : nested_factor;
+        e.ns_per_ray *= nested_factor(choice.structure, objective.coherence);
         e.ray_spread = std::hypot(e.ray_spread, placing_spread);
     }
     set_total(e, options.objective);

@@ -9,11 +9,6 @@
 
 namespace crofton {
 
-/// Rays meet several objects where boxes overlap, and a call and a transform each: what nesting
-/// and opening cost a ray over one structure for all, in scenes with several placements, and the
-/// standard deviation of its logarithm from scene to scene.
-inline constexpr double nested_factor = 1.15, opened_factor = 1.13, placing_spread = 0.15;
-
 /// How a scene's structures are to be chosen.
 struct AutoOptions {
     Objective objective;
@@ -34,6 +29,18 @@ struct PlanChoice {
     enum class Placing { flat, nested, opened } placing = Placing::flat;
 };
 PlanChoice plan_choice(const StructureChoice& structure, PlanChoice::Placing placing);
+
+/// Rays meet several objects where boxes overlap; on the other hand a build that is blind (see
+/// is_blind) keeps small objects apart then. What nesting costs a ray over one structure for all,
+/// in scenes with several placements: means of twelve models, of which FZK-Haus, retroufo, subpass,
+/// 2CylinderEngine and grey-white-room are in auto_selection.toml, the others not.
+double nested_factor(const StructureChoice& structure, Coherence coherence);
+/// The same, once a thinned scene has shown this ratio for the quickest structure: its objects have
+/// few shapes, of which a ray's way to them is most.
+double nested_factor(const StructureChoice& structure, double thinned_ratio);
+/// Standard deviations of ln of both.
+inline constexpr double placing_spread = 0.16, placing_spread_thinned = 0.12;
+
 AssemblyPlan plan_of(const PlanChoice& choice);
 
 /// All ways to assemble a scene that are compared: every structure over everything at once, and,
