@@ -8,21 +8,6 @@
 
 namespace crofton {
 
-/// Allocator for nodes, and for what builders work on: on cache lines, and from 2 MiB on, on huge
-/// pages where the system gives them (/sys/kernel/mm/transparent_hugepage/enabled is `madvise` or
-/// `always`). A build that touches fresh memory page by page may take half as long again.
-template <class T>
-struct CacheLineAllocator {
-    using value_type = T;
-    CacheLineAllocator() = default;
-    template <class U>
-    CacheLineAllocator(const CacheLineAllocator<U>&) {}
-
-    T* allocate(size_t n);
-    void deallocate(T* p, size_t) { std::free(p); }
-    bool operator==(const CacheLineAllocator&) const { return true; }
-};
-
 /// Whether large structures that are built from now on ask for huge pages; at first they do, unless
 /// the environment variable CROFTON_HUGE_PAGES is 0. To measure what these are worth.
 void set_huge_pages(bool on);
@@ -31,11 +16,24 @@ void set_huge_pages(bool on);
 ///         to back each whole 2 MiB by a huge page (or not to: see set_huge_pages)
 /// @throws std::bad_alloc
 void* allocate_for_traversal(size_t bytes);
+/// @param p  from allocate_for_traversal, or null
+void free_for_traversal(void* p);
 
+/// Allocator for nodes, and for what builders work on: on cache lines, and from 2 MiB on, on huge
+/// pages where the system gives them (/sys/kernel/mm/transparent_hugepage/enabled is `madvise` or
+/// `always`). A build that touches fresh memory page by page may take half as long again, so what
+/// is smaller, from 16 KiB on, shares huge pages, a few of which are kept for the next build.
 template <class T>
-T* CacheLineAllocator<T>::allocate(size_t n) {
-    return static_cast<T*>(allocate_for_traversal(n * sizeof(T)));
-}
+struct CacheLineAllocator {
+    using value_type = T;
+    CacheLineAllocator() = default;
+    template <class U>
+    CacheLineAllocator(const CacheLineAllocator<U>&) {}
+
+    T* allocate(size_t n) { return static_cast<T*>(allocate_for_traversal(n * sizeof(T))); }
+    void deallocate(T* p, size_t) { free_for_traversal(p); }
+    bool operator==(const CacheLineAllocator&) const { return true; }
+};
 
 template <class T>
 using AlignedVector = std::vector<T, CacheLineAllocator<T>>;

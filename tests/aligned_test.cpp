@@ -1,10 +1,15 @@
 #include "framework/aligned.h"
 
+#include <algorithm>
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
+#include <random>
 #include <sstream>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "tests/catch.h"
 
@@ -36,7 +41,7 @@ TEST_CASE("traversal memory lies on cache lines, large arrays on whole huge page
     for (const size_t bytes : {size_t{0}, size_t{1}, size_t{65}, huge - 1}) {
         void* const p = allocate_for_traversal(bytes);
         CHECK(aligned_to(p, 64));
-        std::free(p);
+        free_for_traversal(p);
     }
     const bool system_has_them = std::filesystem::exists("/sys/kernel/mm/transparent_hugepage");
     for (const bool on : {true, false}) {
@@ -49,9 +54,60 @@ TEST_CASE("traversal memory lies on cache lines, large arrays on whole huge page
             CHECK((mapping_flags(p).find(" hg ") != std::string::npos) == on);
             CHECK((mapping_flags(p).find(" nh ") != std::string::npos) == !on);
         }
-        std::free(p);
+        free_for_traversal(p);
     }
     set_huge_pages(true);
+}
+
+TEST_CASE("traversal memory of any size is no other array's, by several threads, and comes back") {
+    struct Array {
+        uint8_t* p;
+        size_t bytes;
+        uint8_t mark;
+    };
+    const auto work = [](uint32_t seed) {
+        std::mt19937 random(seed);
+        std::vector<Array> arrays;
+        size_t wrong = 0;
+        const auto drop = [&](size_t i) {
+            const Array a = arrays[i];
+            wrong += size_t(std::count(a.p, a.p + a.bytes, a.mark) != ptrdiff_t(a.bytes));
+            free_for_traversal(a.p);
+            arrays[i] = arrays.back();
+            arrays.pop_back();
+        };
+        for (int step = 0; step < 1500; ++step) {
+            // Mostly what shares pages, from a slot to nearly 2 MiB; at most some 40 MB at a time.
+            const size_t bytes = 1 + (random() % 8 ? random() % (1u << (12 + random() % 10))
+                                                   : random() % (5u << 20));
+            auto* const p = static_cast<uint8_t*>(allocate_for_traversal(bytes));
+            wrong += reinterpret_cast<uintptr_t>(p) % 64 != 0;
+            arrays.push_back({p, bytes, uint8_t(random())});
+            std::fill_n(p, bytes, arrays.back().mark);
+            while (arrays.size() > 40) drop(random() % arrays.size());
+        }
+        while (!arrays.empty()) drop(0);
+        return wrong;
+    };
+    std::array<size_t, 3> wrong{};
+    std::vector<std::thread> threads;
+    for (size_t t = 0; t < wrong.size(); ++t)
+        threads.emplace_back([&, t] { wrong[t] = work(uint32_t(t)); });
+    for (std::thread& thread : threads) thread.join();
+    CHECK(wrong == std::array<size_t, 3>{});
+}
+
+TEST_CASE("traversal memory that is free again is what the next array gets") {
+    constexpr size_t bytes = 600'000;
+    void* const first = allocate_for_traversal(bytes);
+    void* const second = allocate_for_traversal(bytes);
+    free_for_traversal(first);
+    void* const third = allocate_for_traversal(bytes);
+    CHECK(third == first);
+    CHECK(third != second);
+    free_for_traversal(second);
+    free_for_traversal(third);
+    free_for_traversal(nullptr);
 }
 
 }  // namespace
