@@ -147,22 +147,16 @@ size_t Outlook::first() const {
 }
 
 /// Of what is expected to be as good as the best, within what estimates are worth: what is built
-/// faster than this, flat rather than nested. Rays may turn out slower than expected; a build that
-/// is short leaves room for another.
+/// fastest. Rays may turn out slower than expected; a build that is short leaves room for another.
 size_t Outlook::surest(size_t best) const {
     constexpr double as_good = 1.1;
-    const auto is_flat = [&](size_t i) {
-        return candidates_[i].choice.placing == PlanChoice::Placing::flat;
-    };
     size_t found = best;
     for (size_t i = 0; i < size(); ++i) {
         const CostEstimate& e = now_[i];
         const StructureChoice& s = candidates_[i].choice.structure;
         if (!e.fits || is_lazy(s) || uses_order(s) || e.total_s > as_good * now_[best].total_s)
             continue;
-        const bool flatter = is_flat(i) && !is_flat(found);
-        const bool shorter = is_flat(i) == is_flat(found) && e.build_s < now_[found].build_s;
-        if (e.build_s < now_[best].build_s && (flatter || shorter)) found = i;
+        if (e.build_s < now_[found].build_s) found = i;
     }
     return found;
 }
@@ -198,7 +192,7 @@ double Outlook::gain(size_t i, size_t held) const {
 /// is not used in the end is lost, whichever that is. That of what is held, if it is nearly
 /// certain.
 bool Outlook::affordable(size_t i, size_t held) const {
-    constexpr double nearly_certain = 0.9;
+    constexpr double nearly_certain = 0.97;
     const double better = std::log(now_[held].ns_per_ray / now_[i].ns_per_ray);
     double lost = now_[held].build_s;
     if (normal_share(better / deviation(i, held)) < nearly_certain)
