@@ -42,7 +42,7 @@ void advise(void* p, size_t bytes) {
 /// chunk has small pages, since what a small scene needs would not fill a huge one.
 class SharedPages {
   public:
-    static constexpr size_t slot = size_t{16} << 10, most = huge;
+    static constexpr size_t slot = size_t{16} << 10, most = size_t{8} << 20;
 
     void* allocate(size_t bytes) {
         const size_t n = (bytes + slot - 1) / slot;
@@ -69,7 +69,7 @@ class SharedPages {
     }
 
   private:
-    static constexpr size_t first_bytes = size_t{1} << 20, chunk_bytes = size_t{8} << 20;
+    static constexpr size_t first_bytes = size_t{1} << 20, chunk_bytes = size_t{16} << 20;
     static constexpr size_t most_slots = chunk_bytes / slot;
     static constexpr size_t idle_kept = 2;  ///< chunks
 

@@ -66,11 +66,21 @@ void ShapeSetBuilder::add(const TriangleMesh& mesh, const FloatTransform* map) {
         triangles_.size() + mesh.triangles.size() >= no_id)
         throw InputError(scene_.source + ": more than 2^32 vertices or triangles in one set");
     if (positions_.empty()) reserve_triangles(mesh.positions.size(), mesh.triangles.size());
-    if (!map) positions_.insert(positions_.end(), mesh.positions.begin(), mesh.positions.end());
-    if (map)
-        for (const Vec3f& p : mesh.positions) positions_.push_back(apply(*map, p));
-    for (const auto& t : mesh.triangles)
-        triangles_.push_back({uint32_t(base + t[0]), uint32_t(base + t[1]), uint32_t(base + t[2])});
+    if (map) {
+        positions_.resize(base + mesh.positions.size());
+        std::transform(mesh.positions.begin(), mesh.positions.end(),
+                       positions_.begin() + ptrdiff_t(base),
+                       [m = *map](const Vec3f& p) { return apply(m, p); });
+    } else {
+        positions_.insert(positions_.end(), mesh.positions.begin(), mesh.positions.end());
+    }
+    const size_t first = triangles_.size();
+    triangles_.resize(first + mesh.triangles.size());
+    std::transform(mesh.triangles.begin(), mesh.triangles.end(),
+                   triangles_.begin() + ptrdiff_t(first),
+                   [b = uint32_t(base)](const std::array<uint32_t, 3>& t) {
+                       return std::array<uint32_t, 3>{b + t[0], b + t[1], b + t[2]};
+                   });
     shapes_ += mesh.triangles.size();
 }
 
