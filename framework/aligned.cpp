@@ -52,7 +52,7 @@ class SharedPages {
                 if (void* p = chunk.take(n)) return p;
         for (Chunk& chunk : chunks_) {
             if (chunk.base) continue;
-            chunk.open(&chunk == chunks_.data());
+            if (!chunk.open(&chunk == chunks_.data())) return nullptr;
             if (void* p = chunk.take(n)) return p;
         }
         return nullptr;
@@ -79,11 +79,15 @@ class SharedPages {
         std::array<uint16_t, most_slots> length{};  ///< of the array that begins there
         std::array<bool, most_slots> taken{};
 
-        void open(bool first) {
+        /// @return  false if there is no memory for a chunk; for an array there may be some
+        bool open(bool first) {
             const size_t bytes = first ? first_bytes : chunk_bytes;
-            base = static_cast<char*>(aligned(huge, bytes));
+            void* p = nullptr;
+            if (posix_memalign(&p, huge, bytes) != 0) return false;
+            base = static_cast<char*>(p);
             slots = bytes / slot;
             if (!first) advise(base, bytes);
+            return true;
         }
         void* take(size_t n) {
             if (slots - used < n) return nullptr;
@@ -121,6 +125,12 @@ class SharedPages {
     std::array<Chunk, 64> chunks_;
 };
 
+#ifdef __SANITIZE_ADDRESS__
+constexpr bool shares = false;  // so that what reaches beyond an array is noticed
+#else
+constexpr bool shares = true;
+#endif
+
 /// Never destroyed: structures may outlive all else.
 SharedPages& shared_pages() {
     static SharedPages& pages = *new SharedPages;
@@ -132,7 +142,7 @@ SharedPages& shared_pages() {
 void set_huge_pages(bool on) { huge_pages() = on; }
 
 void* allocate_for_traversal(size_t bytes) {
-    if (bytes >= SharedPages::slot && bytes < SharedPages::most && huge_pages())
+    if (shares && bytes >= SharedPages::slot && bytes < SharedPages::most && huge_pages())
         if (void* p = shared_pages().allocate(bytes)) return p;
     const size_t lines = std::max(line, (bytes + line - 1) / line * line);
     if (bytes < huge) return aligned(line, lines);
