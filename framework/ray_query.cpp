@@ -69,6 +69,21 @@ ObjectRay::ObjectRay(const LocalRay& local, const RayQuery& query) {
     direction = local.frame ? local.frame->object_from_world.vector(d) : d;
 }
 
+void IdTable::index_runs() {
+    run_at_.clear();
+    if (runs_.empty()) runs_.push_back({0, 0, 0, 0});  // as no file that was written has it
+    if (runs_.size() < 2) return;
+    const uint32_t last = runs_.back().first;
+    const size_t places = 4 * runs_.size();
+    shift_ = 0;
+    while (last >> shift_ >= places) ++shift_;
+    for (uint32_t place = 0, run = 0; place <= last >> shift_; ++place) {
+        while (run + 1 < runs_.size() && runs_[run + 1].first <= place << shift_) ++run;
+        run_at_.push_back(run);
+    }
+    run_at_.push_back(uint32_t(runs_.size() - 1));
+}
+
 ShapeGroups IdTable::groups(uint32_t size) const {
     ShapeGroups groups;
     if (runs_.size() < 2 || size == 0) return groups;

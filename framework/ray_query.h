@@ -162,8 +162,9 @@ class IdTable {
         uint32_t primitive;  ///< of the first shape of the run
         uint32_t instance;   ///< offset from the object's own
     };
-    IdTable() : runs_{{0, 0, 0, 0}} {}
-    explicit IdTable(std::vector<Run> runs) : runs_(std::move(runs)) {}
+    IdTable() : IdTable(std::vector<Run>{{0, 0, 0, 0}}) {}
+    /// @param runs  by `first`, that of the first 0
+    explicit IdTable(std::vector<Run> runs) : runs_(std::move(runs)) { index_runs(); }
 
     /// Of a part of the set: shape i of the part is shape shapes[i] of the whole.
     IdTable subset(std::span<const uint32_t> shapes) const {
@@ -176,6 +177,7 @@ class IdTable {
     template <class A>
     void archive(A& a) {
         a(runs_, whole_);
+        index_runs();
     }
     void resolve(uint32_t shape, uint32_t base, Hit& hit) const {
         if (!whole_.empty()) shape = whole_[shape];
@@ -184,21 +186,34 @@ class IdTable {
         hit.geometry = run.geometry;
         hit.instance = base + run.instance;
     }
-    size_t bytes() const { return runs_.size() * sizeof(Run) + whole_.size() * sizeof(uint32_t); }
+    size_t bytes() const {
+        return runs_.size() * sizeof(Run) + (whole_.size() + run_at_.size()) * sizeof(uint32_t);
+    }
     /// A group for each run: the geometries of a mesh, or the meshes that were put together; none
     /// for one run.
     /// @param size  shapes in the set
     ShapeGroups groups(uint32_t size) const;
 
   private:
+    /// Every hit asks for its run, so the runs where a shape can be are looked up: mostly one or
+    /// two.
     const Run& run_of(uint32_t shape) const {
         if (runs_.size() == 1) return runs_[0];
-        const auto it = std::upper_bound(runs_.begin(), runs_.end(), shape,
-                                         [](uint32_t s, const Run& r) { return s < r.first; });
-        return *(it - 1);
+        const size_t place = std::min<size_t>(shape >> shift_, run_at_.size() - 2);
+        const Run* const first = &runs_[run_at_[place]];
+        const Run* const last = &runs_[run_at_[place + 1]];
+        if (last - first < 2) return first < last && last->first <= shape ? *last : *first;
+        return *(std::upper_bound(first + 1, last + 1, shape,
+                                  [](uint32_t s, const Run& r) { return s < r.first; }) -
+                 1);
     }
+    void index_runs();
+
     std::vector<Run> runs_;        ///< sorted by `first`, the first one 0
     std::vector<uint32_t> whole_;  ///< a part's shapes in the whole set; empty: this is the whole
+    /// Of shapes from i << shift_ on, the run of the first of them; and the last run at the end.
+    std::vector<uint32_t> run_at_;
+    uint32_t shift_ = 0;
 };
 
 inline Hit RayQuery::ids() const {

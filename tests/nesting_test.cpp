@@ -1,6 +1,8 @@
 // Accelerators inside accelerators: every ordered pair, three levels deep, under maps that scale,
 // shear and mirror. Hits have the bits of one flat structure over baked vertices.
 
+#include <random>
+
 #include "framework/instance.h"
 #include "framework/object_set.h"
 #include "framework/quadric_set.h"
@@ -17,6 +19,50 @@ Transform shear(double xy, double yz) {
     t.linear(0, 1) = xy;
     t.linear(1, 2) = yz;
     return t;
+}
+
+TEST_CASE("ids: a shape is found in its run, however runs are spread, and in parts of a set") {
+    std::mt19937 random(3);
+    for (const uint32_t count : {1u, 2u, 3u, 17u, 400u})
+        for (const bool crowded : {false, true}) {
+            CAPTURE(count, crowded);
+            // Some empty; crowded: all but one among the first few shapes of very many.
+            std::vector<IdTable::Run> runs;
+            for (uint32_t r = 0, first = 0; r < count; ++r) {
+                runs.push_back({first, 10 + r, 5 * r, r % 3});
+                first += random() % 4 == 0 ? 0 : 1 + random() % (crowded ? 3 : 5000);
+                if (crowded && r + 2 == count) first = 3'000'000'000u;
+            }
+            const IdTable table(runs);
+            const auto expected = [&](uint32_t shape) {
+                size_t r = runs.size() - 1;
+                while (runs[r].first > shape) --r;
+                return Hit{0,
+                           0,
+                           0,
+                           runs[r].primitive + (shape - runs[r].first),
+                           runs[r].geometry,
+                           100 + runs[r].instance};
+            };
+            const uint32_t end = runs.back().first + 5000;
+            std::vector<uint32_t> shapes{0, 1, end - 1, ~0u - 1};
+            for (const IdTable::Run& run : runs)
+                for (const uint32_t shape : {run.first, run.first + 1, std::max(run.first, 1u) - 1})
+                    shapes.push_back(shape);
+            for (int i = 0; i < 1000; ++i) shapes.push_back(uint32_t(random() % end));
+            const IdTable part = table.subset(shapes);
+            size_t wrong = 0;
+            for (size_t i = 0; i < shapes.size(); ++i) {
+                const Hit right = expected(shapes[i]);
+                Hit hit, of_part;
+                table.resolve(shapes[i], 100, hit);
+                part.resolve(uint32_t(i), 100, of_part);
+                for (const Hit& h : {hit, of_part})
+                    wrong += h.primitive != right.primitive || h.geometry != right.geometry ||
+                             h.instance != right.instance;
+            }
+            CHECK(wrong == 0);
+        }
 }
 
 /// Powers of two and short sums: composed maps are exact, in whatever order they are multiplied.
