@@ -5,8 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
-#include <bit>
 #include <cstdint>
+#include <cstdlib>
 #include <mutex>
 #include <string_view>
 
@@ -23,10 +23,10 @@ std::atomic<bool>& huge_pages() {
     return on;
 }
 
+/// @return  null if there is no memory
 void* aligned(size_t alignment, size_t bytes) {
     void* p = nullptr;
-    if (posix_memalign(&p, alignment, bytes) != 0) throw std::bad_alloc();
-    return p;
+    return posix_memalign(&p, alignment, bytes) == 0 ? p : nullptr;
 }
 
 void advise(void* p, size_t bytes) {
@@ -35,25 +35,26 @@ void advise(void* p, size_t bytes) {
     madvise(p, bytes / huge * huge, huge_pages() ? MADV_HUGEPAGE : MADV_NOHUGEPAGE);
 }
 
-/// Memory for arrays that do not fill huge pages, several in one. A build has dozens of them, and
-/// the first touch of each small page costs more than what is then written there.
+/// Memory for arrays that do not fill huge pages, several in one, or fill few of them. A build has
+/// dozens, and the first touch of each small page costs more than what is then written there.
 ///
-/// Chunks are cut into slots; an array has the first slots in a row that are free. The first
-/// chunk has small pages, since what a small scene needs would not fill a huge one.
+/// Chunks are cut into slots; an array has the first slots in a row that are free, and begins on a
+/// huge page if it fills one. The first chunk has small pages, since what a small scene needs would
+/// not fill a huge one.
 class SharedPages {
   public:
     static constexpr size_t slot = size_t{16} << 10, most = size_t{8} << 20;
 
     void* allocate(size_t bytes) {
-        const size_t n = (bytes + slot - 1) / slot;
+        const size_t n = (bytes + slot - 1) / slot, step = bytes >= huge ? huge / slot : 1;
         const std::lock_guard lock(mutex_);
         for (Chunk& chunk : chunks_)
             if (chunk.base)
-                if (void* p = chunk.take(n)) return p;
+                if (void* p = chunk.take(n, step)) return p;
         for (Chunk& chunk : chunks_) {
             if (chunk.base) continue;
             if (!chunk.open(&chunk == chunks_.data())) return nullptr;
-            if (void* p = chunk.take(n)) return p;
+            if (void* p = chunk.take(n, step)) return p;
         }
         return nullptr;
     }
@@ -82,24 +83,25 @@ class SharedPages {
         /// @return  false if there is no memory for a chunk; for an array there may be some
         bool open(bool first) {
             const size_t bytes = first ? first_bytes : chunk_bytes;
-            void* p = nullptr;
-            if (posix_memalign(&p, huge, bytes) != 0) return false;
-            base = static_cast<char*>(p);
+            base = static_cast<char*>(aligned(huge, bytes));
+            if (!base) return false;
             slots = bytes / slot;
             if (!first) advise(base, bytes);
             return true;
         }
-        void* take(size_t n) {
+        /// @param step  arrays begin at a multiple of it
+        void* take(size_t n, size_t step) {
             if (slots - used < n) return nullptr;
-            for (size_t begin = 0, end; begin + n <= slots; begin = end) {
-                for (end = begin; end < slots && end < begin + n && !taken[end];) ++end;
-                if (end == begin + n) {
-                    std::fill_n(taken.begin() + ptrdiff_t(begin), n, true);
+            for (size_t begin = 0; begin + n <= slots;) {
+                const auto first = taken.begin() + ptrdiff_t(begin), end = first + ptrdiff_t(n);
+                const auto blocked = std::find(first, end, true);
+                if (blocked == end) {
+                    std::fill(first, end, true);
                     length[begin] = uint16_t(n);
                     used += n;
                     return base + begin * slot;
                 }
-                while (end < slots && taken[end]) end += std::max<size_t>(1, length[end]);
+                begin = (size_t(blocked - taken.begin()) / step + 1) * step;
             }
             return nullptr;
         }
@@ -145,9 +147,9 @@ void* allocate_for_traversal(size_t bytes) {
     if (shares && bytes >= SharedPages::slot && bytes < SharedPages::most && huge_pages())
         if (void* p = shared_pages().allocate(bytes)) return p;
     const size_t lines = std::max(line, (bytes + line - 1) / line * line);
-    if (bytes < huge) return aligned(line, lines);
-    void* const p = aligned(huge, lines);
-    advise(p, bytes);
+    void* const p = aligned(bytes < huge ? line : huge, lines);
+    if (!p) throw std::bad_alloc();
+    if (bytes >= huge) advise(p, bytes);
     return p;
 }
 

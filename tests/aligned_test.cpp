@@ -59,6 +59,21 @@ TEST_CASE("traversal memory lies on cache lines, large arrays on whole huge page
     set_huge_pages(true);
 }
 
+TEST_CASE("traversal memory of 2 MiB and more begins on a huge page, whatever was there before") {
+    constexpr size_t huge = size_t{2} << 20;
+    std::vector<void*> arrays;
+    size_t wrong = 0;
+    // Of all sizes about those that share pages.
+    for (const size_t bytes :
+         {size_t{900'000}, size_t{900'000}, huge, size_t{700'000}, 3 * huge, size_t{70'000},
+          huge + 1, size_t{40'000}, 4 * huge - 1, 4 * huge, size_t{20'000}, huge}) {
+        arrays.push_back(allocate_for_traversal(bytes));
+        wrong += bytes >= huge && reinterpret_cast<uintptr_t>(arrays.back()) % huge != 0;
+    }
+    CHECK(wrong == 0);
+    for (void* p : arrays) free_for_traversal(p);
+}
+
 TEST_CASE("traversal memory of any size is no other array's, by several threads, and comes back") {
     struct Array {
         uint8_t* p;

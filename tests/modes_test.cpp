@@ -213,9 +213,13 @@ TEST_CASE("modes: under nested maps the truth is that of the placed corners") {
     choice->label = choice->type = "bvh";
     AssemblyPlan plan;
     plan.top = plan.objects = choice;
-    const Assembly assembly = assemble(scene, plan);
     const exact::Oracle oracle = make_oracle(scene, PlacementTruth::as_placed);
-    check_promises(*assembly.root, oracle, test::hard_rays(assembly.root->bounds(), p, 5));
+    for (const bool bake : {false, true}) {
+        INFO((bake ? "baked" : "instances"));
+        plan.bake = bake;
+        const Assembly assembly = assemble(scene, plan);
+        check_promises(*assembly.root, oracle, test::hard_rays(assembly.root->bounds(), p, 5));
+    }
 }
 
 TEST_CASE("modes: two sheets a fraction of an ulp of t apart are told apart by exact alone") {

@@ -176,6 +176,7 @@ TEST_CASE("spawn: rays leave instanced triangles, spheres, cones, discs and poly
         choice->label = choice->type = "bvh";
         AssemblyPlan plan;
         plan.top = plan.objects = choice;
+        plan.bake = false;
         const Assembly assembly = assemble(scene, plan);
         const auto instances = mesh_instances(scene);
         test::Random random(3);
