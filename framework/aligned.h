@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstddef>
-#include <cstdlib>
 #include <memory>
 #include <new>
 #include <vector>
@@ -22,7 +21,8 @@ void free_for_traversal(void* p);
 /// Allocator for nodes, and for what builders work on: on cache lines, and from 2 MiB on, on huge
 /// pages where the system gives them (/sys/kernel/mm/transparent_hugepage/enabled is `madvise` or
 /// `always`). A build that touches fresh memory page by page may take half as long again, so what
-/// is smaller, from 16 KiB on, shares huge pages, a few of which are kept for the next build.
+/// is smaller than 8 MiB, down to 16 KiB, comes from memory that is kept for the next build (32 MiB
+/// at most), and shares its huge pages.
 template <class T>
 struct CacheLineAllocator {
     using value_type = T;

@@ -34,6 +34,7 @@ concept PlainData = std::is_trivially_copyable_v<T> && !EigenFixed<T> && !std::i
 /// with the size of its element, so that a file of another layout is noticed.
 class ArchiveWriter {
   public:
+    static constexpr bool reads = false;
     template <class... T>
     void operator()(const T&... values) {
         (write(values), ...);
@@ -75,6 +76,7 @@ class ArchiveWriter {
 /// Every function @throws InputError  "NAME: what", if the data end early or have another layout
 class ArchiveReader {
   public:
+    static constexpr bool reads = true;
     /// @param name  of the file, for messages
     ArchiveReader(std::vector<char> buffer, std::string name)
         : buffer_(std::move(buffer)), name_(std::move(name)) {}

@@ -76,7 +76,7 @@ struct StructureCosts {
     double test_share = 0;
 
     /// As thin_apart, of neighbours together: in a thinned scene more of them pass as one.
-    double thin_together = 0.3;
+    double thin_together = 0.05;
 
     /// At any number of shapes >= 1.
     GrowthPoint at(double shapes) const;

@@ -25,7 +25,7 @@ class LocalPacket {
 
     /// Brings rays of a packet into an object's space, as crofton::enter does it one by one.
     /// @param where  referred to from then on
-    /// @return       bits of those that have an image there
+    /// @return       bits of those that have an image there, and are none of its special cases
     uint32_t enter(const InstanceFrame& where, const RayPacket& packet, uint32_t rays);
     /// Of rays the first, and those that go its way on every axis.
     uint32_t one_way(uint32_t rays) const;
@@ -34,8 +34,8 @@ class LocalPacket {
 
     const InstanceFrame* frame = nullptr;  ///< null: this is world space
     alignas(64) Row near_origin[3], far_origin[3], rcp[3], far_rcp[3];
-    uint32_t
-        down[3];  ///< bits of rays that go down an axis; not in world space, where all go alike
+    /// Bits of rays that go down an axis; not in world space, where all go one way.
+    uint32_t down[3];
 
   private:
     friend struct RayPacket;

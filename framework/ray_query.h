@@ -177,7 +177,7 @@ class IdTable {
     template <class A>
     void archive(A& a) {
         a(runs_, whole_);
-        index_runs();
+        if constexpr (A::reads) index_runs();
     }
     void resolve(uint32_t shape, uint32_t base, Hit& hit) const {
         if (!whole_.empty()) shape = whole_[shape];

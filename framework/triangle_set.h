@@ -28,9 +28,13 @@ class TriangleSet {
     TriangleSet subset(std::span<const uint32_t> shapes) const;
     template <class A>
     void archive(A& a) {
-        std::vector<Vec3f> positions(*positions_);
-        a(positions, triangles_, ids_);
-        own(std::move(positions));
+        if constexpr (A::reads) {
+            std::vector<Vec3f> positions;
+            a(positions, triangles_, ids_);
+            own(std::move(positions));
+        } else {
+            a(*positions_, triangles_, ids_);
+        }
     }
 
     uint32_t size() const { return uint32_t(triangles_.size()); }

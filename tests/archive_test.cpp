@@ -149,4 +149,25 @@ TEST_CASE("damaged and foreign files are refused with a line that says why") {
     CHECK(refusal_of(newer).find("version 4") != std::string::npos);
 }
 
+TEST_CASE("archive: what is written stays as it is, for those who trace it meanwhile") {
+    std::vector<Vec3f> positions;
+    std::vector<std::array<uint32_t, 3>> triangles;
+    test::icosphere(1, positions, triangles);
+    TriangleSet set(positions, triangles, IdTable({{0, 3, 0, 0}, {20, 4, 0, 0}}));
+    const float* const before = set.coordinates();
+    ArchiveWriter out;
+    set.archive(out);
+    CHECK(set.coordinates() == before);
+    ArchiveReader in(out.buffer(), "buffer");
+    TriangleSet read;
+    read.archive(in);
+    CHECK(in.at_end());
+    REQUIRE(read.size() == set.size());
+    Hit hit;
+    read.ids().resolve(25, 0, hit);
+    CHECK(hit.geometry == 4);
+    CHECK(hit.primitive == 5);
+    CHECK(std::equal(before, before + 3 * positions.size(), read.coordinates()));
+}
+
 }  // namespace crofton
