@@ -24,8 +24,7 @@ Vec3f slack_of(const Bounds3& b) {
 
 }  // namespace
 
-TriangleSet::TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids,
-                         ShapeGroups groups)
+TriangleSet::TriangleSet(Positions positions, Triangles triangles, IdTable ids, ShapeGroups groups)
     : triangles_(std::move(triangles)), ids_(std::move(ids)), groups_(std::move(groups)) {
     Indices most{0, 0, 0};
     for (const Indices& t : triangles_)

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <array>
+#include <concepts>
 #include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "framework/aligned.h"
@@ -16,20 +18,29 @@ namespace crofton {
 class TriangleSet {
   public:
     using Indices = std::array<uint32_t, 3>;
+    using Positions = RawAlignedVector<Vec3f>;
+    using Triangles = RawAlignedVector<Indices>;
 
     /// @param triangles  indices into `positions`
     /// @throws InputError  an index is out of range
     /// @param groups     of the model that the triangles come from; none: the runs of `ids`
-    TriangleSet(std::vector<Vec3f> positions, std::vector<Indices> triangles, IdTable ids = {},
+    TriangleSet(Positions positions, Triangles triangles, IdTable ids = {},
                 ShapeGroups groups = {});
-    TriangleSet() : TriangleSet({}, {}) {}
+    /// The same of copies of ordinary vectors.
+    template <class P, class T = std::vector<Indices>>
+        requires std::same_as<P, std::vector<Vec3f>> && std::same_as<T, std::vector<Indices>>
+    TriangleSet(const P& positions, const T& triangles, IdTable ids = {}, ShapeGroups groups = {})
+        : TriangleSet(Positions(positions.begin(), positions.end()),
+                      Triangles(triangles.begin(), triangles.end()), std::move(ids),
+                      std::move(groups)) {}
+    TriangleSet() : TriangleSet(Positions(), Triangles()) {}
     /// The triangles named, ascending, with their ids in this set and what is left of its groups;
     /// vertices are shared.
     TriangleSet subset(std::span<const uint32_t> shapes) const;
     template <class A>
     void archive(A& a) {
         if constexpr (A::reads) {
-            std::vector<Vec3f> positions;
+            Positions positions;
             a(positions, triangles_, ids_);
             own(std::move(positions));
         } else {
@@ -55,7 +66,7 @@ class TriangleSet {
     uint64_t bytes() const;
     ShapeGroups groups() const { return groups_.empty() ? ids_.groups(size()) : groups_; }
     /// A set with the same ids and no shapes: what a structure with its own copy keeps.
-    TriangleSet ids_only() const { return TriangleSet({}, {}, ids_); }
+    TriangleSet ids_only() const { return TriangleSet(Positions(), Triangles(), ids_); }
 
     const Indices* triangles() const { return triangles_.data(); }
     /// Of the mesh that it is, or is a part of.
@@ -67,14 +78,14 @@ class TriangleSet {
     Bounds3 corner_bounds(uint32_t i) const;
     /// @throws InputError  which triangle has an index too large
     void refuse_indices(size_t positions) const;
-    void own(std::vector<Vec3f> positions) {
-        positions_ = std::make_shared<const std::vector<Vec3f>>(std::move(positions));
+    void own(Positions positions) {
+        positions_ = std::make_shared<const Positions>(std::move(positions));
         vertices_ = positions_->data();
     }
-    std::shared_ptr<const std::vector<Vec3f>> positions_;  ///< and one dummy at the end
+    std::shared_ptr<const Positions> positions_;  ///< and one dummy at the end
     const Vec3f* vertices_ = nullptr;
     bool part_ = false;  ///< the vertices are another set's
-    std::vector<Indices> triangles_;
+    Triangles triangles_;
     IdTable ids_;
     ShapeGroups groups_;
 };

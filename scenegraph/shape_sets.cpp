@@ -4,7 +4,6 @@
 
 #include "framework/error.h"
 #include "framework/polygon_set.h"
-#include "framework/triangle_set.h"
 #include "scenegraph/splats.h"
 
 namespace crofton {
@@ -66,14 +65,13 @@ void ShapeSetBuilder::add(const TriangleMesh& mesh, const FloatTransform* map) {
         triangles_.size() + mesh.triangles.size() >= no_id)
         throw InputError(scene_.source + ": more than 2^32 vertices or triangles in one set");
     if (positions_.empty()) reserve_triangles(mesh.positions.size(), mesh.triangles.size());
-    if (map) {
-        positions_.resize(base + mesh.positions.size());
-        std::transform(mesh.positions.begin(), mesh.positions.end(),
-                       positions_.begin() + ptrdiff_t(base),
+    positions_.resize(base + mesh.positions.size());
+    const auto placed = positions_.begin() + ptrdiff_t(base);
+    if (map)
+        std::transform(mesh.positions.begin(), mesh.positions.end(), placed,
                        [m = *map](const Vec3f& p) { return apply(m, p); });
-    } else {
-        positions_.insert(positions_.end(), mesh.positions.begin(), mesh.positions.end());
-    }
+    else
+        std::copy(mesh.positions.begin(), mesh.positions.end(), placed);
     const size_t first = triangles_.size();
     triangles_.resize(first + mesh.triangles.size());
     std::transform(mesh.triangles.begin(), mesh.triangles.end(),

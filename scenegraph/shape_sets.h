@@ -6,6 +6,7 @@
 #include "framework/primitive_sets.h"
 #include "framework/quadric_set.h"
 #include "framework/ray_query.h"
+#include "framework/triangle_set.h"
 #include "scenegraph/scene.h"
 
 namespace crofton {
@@ -49,8 +50,8 @@ class ShapeSetBuilder {
 
     const Scene& scene_;
     uint64_t shapes_ = 0;
-    std::vector<Vec3f> positions_;
-    std::vector<std::array<uint32_t, 3>> triangles_;
+    TriangleSet::Positions positions_;
+    TriangleSet::Triangles triangles_;
     std::vector<QuadricShape> quadrics_;
     std::vector<Vec3f> corners_;
     std::vector<uint32_t> first_corner_;

@@ -156,7 +156,8 @@ TEST_CASE("compact patches: the same corners and ids; vertices are shared within
     // Neighbours whose ids are far apart have a list.
     std::vector<TriangleSet::Indices> apart(100000, {0, 1, 2});
     for (size_t i = 0; i < apart.size(); i += 2) apart[i] = {1, 2, 3};
-    const TriangleSet set({{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 1}}, apart);
+    const std::vector<Vec3f> corners{{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {1, 1, 1}};
+    const TriangleSet set(corners, apart);
     TrianglePatches full;
     const std::vector<uint32_t> near{3, 5, 7}, far{2, 70000}, most{9, 65544}, more{9, 65545};
     for (const auto* leaf : {&near, &far, &most, &more}) full.add(PatchCorners(set), *leaf);
