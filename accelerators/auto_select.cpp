@@ -60,17 +60,13 @@ bool accepted(const StructureChoice& choice) {
 /// of which others have not been built for.
 constexpr double lazy_part = 1024, parts_per_ray = 0.1;
 
-/// Parts of real scenes overlap more than those of scenes that calibrate: rays through lazy
-/// structures take so many times longer (2CylinderEngine, grey-white-room, dream-apartment).
-constexpr double lazy_overlap = 1.2;
-
 /// Share of a lazy structure's parts that so many rays need.
 double needed_share(double count, double rays) {
     const double parts = std::max(1.0, count / lazy_part);
     return 1 - std::exp(-rays * parts_per_ray / parts);
 }
 
-double coherence_factor(const StructureCosts& costs, Coherence coherence) {
+double coherence_factor(const GrowthPoint& costs, Coherence coherence) {
     if (coherence == Coherence::unknown) return 1;
     return coherence == Coherence::together ? costs.together : costs.apart;
 }
@@ -172,8 +168,7 @@ CostEstimate estimate(const StructureCosts* costs, bool lazy, double count,
         e.build_s *= bounds_share + (1 - bounds_share) * needed_share(count, objective.rays);
     }
     e.bytes = p.bytes * count;
-    e.ns_per_ray = p.ray_ns * coherence_factor(*costs, objective.coherence);
-    if (lazy) e.ns_per_ray *= lazy_overlap;
+    e.ns_per_ray = p.ray_ns * coherence_factor(p, objective.coherence);
     e.ray_spread = costs->ray_spread;
     set_total(e, objective);
     return e;

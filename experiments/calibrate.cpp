@@ -11,6 +11,7 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 #include <numeric>
+#include <optional>
 
 #include "accelerators/auto_select.h"
 #include "experiments/calibrate_structures.h"
@@ -20,6 +21,7 @@
 #include "experiments/statistics.h"
 #include "experiments/workload.h"
 #include "framework/clock.h"
+#include "framework/error.h"
 #include "framework/instance.h"
 #include "framework/object_set.h"
 #include "framework/transform.h"
@@ -230,7 +232,8 @@ Json json_of(const StructureCosts& s) {
                  {"ray_spread", s.ray_spread}, {"build_spread", s.build_spread},
                  {"per_ray_ns", s.per_ray},    {"per_step_ns", s.per_step},
                  {"per_test_ns", s.per_test},  {"per_doubling", s.per_doubling},
-                 {"fit_error", s.fit_error},   {"growth", Json::array()}};
+                 {"fit_error", s.fit_error},   {"counted_together", s.counted_together},
+                 {"growth", Json::array()}};
     for (const GrowthPoint& p : s.growth)
         json["growth"].push_back({{"shapes", p.shapes},
                                   {"build_ns_per_shape", p.build_ns},
@@ -255,6 +258,16 @@ Calibration measure_calibration() {
     return c;
 }
 
+std::optional<Calibration> cached_calibration(const std::string& path, std::string& damage) {
+    if (!std::filesystem::exists(path)) return std::nullopt;
+    try {
+        return read_calibration(path);
+    } catch (const InputError& e) {
+        damage = e.what();
+        return std::nullopt;
+    }
+}
+
 void ensure_calibration() {
     if (const char* given = std::getenv("CROFTON_CALIBRATION"); given && *given) {
         set_calibration(std::string(given) == "nominal" ? Calibration::nominal()
@@ -264,10 +277,12 @@ void ensure_calibration() {
     const MachineIdentity machine = MachineIdentity::here(version_text());
     if (calibration().machine == machine) return;
     const std::string path = calibration_path(machine);
-    if (std::filesystem::exists(path)) {
-        set_calibration(read_calibration(path));
+    std::string damage;
+    if (const auto cached = cached_calibration(path, damage)) {
+        set_calibration(*cached);
         return;
     }
+    if (!damage.empty()) fmt::print(stderr, "{}\n", damage);
     fmt::print(stderr, "calibrating this machine, once: {}\n", path);
     set_calibration(measure_calibration());
     write_calibration(calibration(), path);
@@ -288,19 +303,19 @@ std::string calibration_text(const Calibration& c) {
         "\nStructures: at the most shapes measured, ns per shape of a build, bytes per shape, ns "
         "per "
         "ray;\nand a ray's cost by counts: ns = ray + (step·N_TS + test·N_IT)·(1 + m·log2(bytes / "
-        "{:.0f} kB)), median error\n",
+        "{:.0f} kB)), median\nerror; times what neighbours from one point take\n",
         c.cache_bytes / 1e3);
-    text +=
-        fmt::format("  {:22} {:10} {:>8} {:>9} {:>7} {:>8}   {:>6} {:>6} {:>6} {:>5} {:>6}\n", "",
-                    "", "shapes", "build", "bytes", "ns/ray", "ray", "step", "test", "m", "error");
+    text += fmt::format(
+        "  {:22} {:10} {:>8} {:>9} {:>7} {:>8}   {:>6} {:>6} {:>6} {:>5} {:>6} {:>8}\n", "", "",
+        "shapes", "build", "bytes", "ns/ray", "ray", "step", "test", "m", "error", "together");
     for (const StructureCosts& s : c.structures) {
         const GrowthPoint& p = s.growth.back();
         text += fmt::format(
             "  {:22} {:10} {:>8.0f} {:>9.1f} {:>7.1f} {:>8.1f}   {:>6.1f} {:>6.2f} {:>6.2f} "
             "{:>5.2f} "
-            "{:>5.0f}%\n",
+            "{:>5.0f}% {:>8.2f}\n",
             s.structure, s.shapes, p.shapes, p.build_ns, p.bytes, p.ray_ns, s.per_ray, s.per_step,
-            s.per_test, s.per_doubling, 100 * s.fit_error);
+            s.per_test, s.per_doubling, 100 * s.fit_error, s.counted_together);
     }
     return text;
 }

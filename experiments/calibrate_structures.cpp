@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 #include <optional>
+#include <span>
 
 #include "accelerators/auto_select.h"
 #include "experiments/calibration_scenes.h"
@@ -34,12 +35,20 @@ struct Observation {
     std::optional<double> thin_apart, thin_build, thin_together;
 };
 
+/// Writes to more than the second cache holds: who builds a structure has most often done something
+/// else before.
+void forget() {
+    static std::vector<uint64_t> others(size_t{4} << 17u);  // 4 MiB
+    for (size_t i = 0; i < others.size(); i += 8) ++others[i];
+}
+
 /// Builds until the median is steady enough; what is dear, once.
 double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& last) {
     std::vector<double> seconds;
     double sum = 0;
     while (seconds.size() < 3 || (sum < 2e-3 && seconds.size() < 15)) {
         last = Assembly{};
+        forget();
         last = assemble(scene, plan);
         seconds.push_back(last.build_s);
         sum += last.build_s;
@@ -48,18 +57,43 @@ double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& las
     return median_interval(std::move(seconds)).median;
 }
 
+/// Rays of one kind. Processors remember the branches of some thousand rays, and of many more
+/// rays no branch is known: so every structure is to be timed with rays that it has not seen.
+struct RaySet {
+    std::vector<Ray> timed, compared;  ///< beside the reference; beside a thinned scene
+    std::vector<Ray> backwards;        ///< the same lines the other way
+    bool view;                         ///< of a camera
+    std::vector<double> ns = {};       ///< per ray, of the reference whenever it was timed
+
+    /// @param size  of the scene
+    RaySet(const std::vector<Ray>& rays, float size, bool of_camera)
+        : backwards(rays), view(of_camera) {
+        constexpr size_t run = 256;  // those of a camera follow each other
+        for (size_t i = 0; i < rays.size(); ++i)
+            (i / run % 2 == 0 ? timed : compared).push_back(rays[i]);
+        for (Ray& ray : backwards) {
+            const Vec3f direction = ray.direction.normalized();
+            ray.origin += 2 * size * direction;
+            ray.direction = -direction;
+        }
+    }
+    /// Brings into the caches what so many rays will need: so it is for all but the first of many.
+    void warm(const Primitive& root, size_t count) const {
+        trace_hits(root, some_of(backwards, count), {false, 1});
+    }
+};
+
 /// The first choice over a scene: what rays take in every other one is timed beside it, in turns,
 /// since what else a machine does changes from second to second.
 struct Reference {
     Assembly assembly;
-    std::vector<const std::vector<Ray>*> sets;  ///< of rays, those that there are
-    std::vector<std::vector<double>> ns;        ///< per ray, of each set whenever it was timed
+    std::vector<RaySet> sets;  ///< those that there are
 
     Reference(const CalibrationScene& sample, const StructureChoice& choice)
         : assembly(assemble(sample.scene, flat_plan(choice))) {
+        const float size = assembly.root->bounds().extent().norm();
         for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
-            if (!rays->empty()) sets.push_back(rays);
-        ns.resize(sets.size());
+            if (!rays->empty()) sets.emplace_back(*rays, size, rays == &sample.view);
     }
 };
 
@@ -74,15 +108,16 @@ std::vector<Ray> timed_rays(const std::vector<Ray>& rays, const Primitive& a, co
 std::vector<RayCost> ray_costs(const Primitive& root, Reference& reference) {
     std::vector<RayCost> costs;
     const Primitive& other = *reference.assembly.root;
-    for (size_t k = 0; k < reference.sets.size(); ++k) {
-        const std::vector<Ray> some = timed_rays(*reference.sets[k], root, other);
+    for (RaySet& set : reference.sets) {
+        const std::vector<Ray> some = timed_rays(set.timed, root, other);
         const RaySample sample{some, false, Mode::robust};
         const Counters counters = counted_pass(root, some, false);
         const double n = double(some.size());
+        for (const Primitive* p : {&root, &other}) set.warm(*p, some.size());
         costs.push_back({time_ratio(root, other, sample), double(counters.N_TS) / n,
-                         double(counters.N_IT) / n});
-        const std::vector<Ray> few = some_of(*reference.sets[k], some.size() / 4);
-        reference.ns[k].push_back(observed_ns(other, {few, false, Mode::robust}));
+                         double(counters.N_IT) / n, set.view});
+        const std::vector<Ray> few = some_of(set.timed, some.size() / 4);
+        set.ns.push_back(observed_ns(other, {few, false, Mode::robust}));
     }
     return costs;
 }
@@ -90,37 +125,51 @@ std::vector<RayCost> ray_costs(const Primitive& root, Reference& reference) {
 /// Makes nanoseconds of ratios, now that the reference has been timed often.
 void make_absolute(std::vector<RayCost>& costs, const Reference& reference) {
     for (size_t k = 0; k < costs.size(); ++k)
-        costs[k].ns *= median_interval(reference.ns[k]).median;
+        costs[k].ns *= median_interval(reference.sets[k].ns).median;
 }
 
 /// Lazy structures are built by rays that meet every part.
 void wake(const Primitive& root, const Reference& reference) {
-    for (const std::vector<Ray>* rays : reference.sets) trace_hits(root, *rays, {false, 1});
+    for (const RaySet& set : reference.sets)
+        for (const auto* rays : {&set.timed, &set.compared}) trace_hits(root, *rays, {false, 1});
 }
 
-/// What pilots do, to scenes whose costs are known.
-constexpr double least_to_thin = 4096, thin_factor = 4;
+/// What pilots do, to scenes whose costs are known: rays are tried on few shapes, builds on more,
+/// since the first thousand shapes of a build are dearer than others.
+constexpr double least_to_thin = 4096, thin_shapes = 1024, thin_factor = 4;
+
+struct Thinned {
+    Assembly assembly;
+    double seconds;  ///< of its build
+    double powers;   ///< log of shapes of the whole scene for one of this
+};
+Thinned build_thinned(const AssemblyPlan& plan, const CalibrationScene& sample, double factor) {
+    const Scene scene = thinned(sample.scene, factor);
+    Thinned thin;
+    thin.seconds = build_seconds(scene, plan, thin.assembly);
+    thin.powers = std::log(double(sample.count) / double(statistics(scene).shapes_instanced));
+    return thin;
+}
 
 /// @param whole    the structure over the whole scene
 /// @param seconds  of its build
 void observe_thinned(const AssemblyPlan& plan, Observation& o, const Primitive& whole,
                      const Reference& reference, double seconds) {
-    const Scene thin = thinned(o.sample->scene, thin_factor);
-    Assembly assembly;
-    const double thin_seconds = build_seconds(thin, plan, assembly);
-    const double shapes = double(statistics(thin).shapes_instanced);
-    const double powers = std::log(double(o.sample->count) / shapes);
+    const Thinned large = build_thinned(plan, *o.sample, thin_factor);
+    o.thin_build = std::log(seconds / large.seconds) / large.powers;
+    const Thinned small = build_thinned(plan, *o.sample, double(o.sample->count) / thin_shapes);
+    const Primitive& thin = *small.assembly.root;
     std::vector<double> apart;
-    for (const std::vector<Ray>* rays : reference.sets) {
-        const std::vector<Ray> some = timed_rays(*rays, whole, *assembly.root);
-        const double ratio = time_ratio(whole, *assembly.root, {some, false, Mode::robust});
-        if (rays == &o.sample->view)
-            o.thin_together = std::log(ratio) / powers;
+    for (const RaySet& set : reference.sets) {
+        const std::vector<Ray> some = timed_rays(set.compared, whole, thin);
+        for (const Primitive* p : {&whole, &thin}) set.warm(*p, some.size());
+        const double ratio = time_ratio(whole, thin, {some, false, Mode::robust});
+        if (set.view)
+            o.thin_together = std::log(ratio) / small.powers;
         else
             apart.push_back(ratio);
     }
-    o.thin_apart = std::log(geometric_mean(apart)) / powers;
-    o.thin_build = std::log(seconds / thin_seconds) / powers;
+    o.thin_apart = std::log(geometric_mean(apart)) / small.powers;
 }
 
 Observation observe(const StructureChoice& choice, const CalibrationScene& sample,
@@ -148,18 +197,17 @@ Observation observe(const StructureChoice& choice, const CalibrationScene& sampl
 }
 
 /// What rays of the view take, and those of the other sets, over the mean of all.
-void set_coherence(StructureCosts& costs, const std::vector<Observation>& observations) {
+void set_coherence(GrowthPoint& point, std::span<const Observation> observations) {
     std::vector<double> together, apart;
     for (const Observation& o : observations) {
-        constexpr size_t view = 1;  // see Reference
-        if (o.rays.size() <= view || o.sample->view.empty()) continue;
-        std::vector<RayCost> others = o.rays;
-        others.erase(others.begin() + view);
-        together.push_back(o.rays[view].ns / o.ray_ns);
+        std::vector<RayCost> view, others;
+        for (const RayCost& r : o.rays) (r.view ? view : others).push_back(r);
+        if (view.empty() || others.empty()) continue;
+        together.push_back(geometric_mean_ns(view) / o.ray_ns);
         apart.push_back(geometric_mean_ns(others) / o.ray_ns);
     }
     if (together.empty()) return;
-    costs.together = geometric_mean(together), costs.apart = geometric_mean(apart);
+    point.together = geometric_mean(together), point.apart = geometric_mean(apart);
 }
 
 void set_thinned(StructureCosts& costs, const std::vector<Observation>& observations) {
@@ -208,7 +256,7 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
     StructureCosts costs;
     costs.structure = choice.name;
     costs.shapes = kind;
-    std::vector<CountedRay> counted;
+    std::vector<CountedRay> counted, viewed;  // what goes together takes less than it counts
     std::vector<double> ray_deviations, build_deviations;
     // Samples of a size become one point.
     for (size_t begin = 0, end = 0; begin < observations.size(); begin = end) {
@@ -222,20 +270,25 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
             bytes.push_back(o.bytes);
             ray.push_back(o.ray_ns);
             relative.push_back(o.relative);
-            for (const RayCost& r : o.rays) counted.push_back({r, o.structure_bytes});
+            for (const RayCost& r : o.rays)
+                (r.view ? viewed : counted).push_back({r, o.structure_bytes});
         }
         costs.growth.push_back({geometric_mean(shapes), geometric_mean(build),
                                 geometric_mean(bytes), geometric_mean(ray)});
+        set_coherence(costs.growth.back(), std::span(observations).subspan(begin, end - begin));
         for (const double x : relative)
             ray_deviations.push_back(std::log(x / geometric_mean(relative)));
         for (const double x : build)
             build_deviations.push_back(std::log(x / costs.growth.back().build_ns));
     }
     set_thinned(costs, observations);
-    set_coherence(costs, observations);
     costs.ray_spread = root_mean_square(ray_deviations);
     costs.build_spread = root_mean_square(build_deviations);
     fit_counted(costs, counted, cache_bytes, nodes);
+    std::vector<double> over;
+    for (const CountedRay& r : viewed)
+        over.push_back(r.ray.ns / costs.counted_ns(r.ray.steps, r.ray.tests, r.bytes, cache_bytes));
+    if (!over.empty()) costs.counted_together = geometric_mean(over);
     for (const CountedRay& c : counted)
         costs.test_share +=
             std::min(1.0, costs.per_test * c.ray.tests / c.ray.ns) / double(counted.size());

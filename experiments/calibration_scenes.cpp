@@ -1,6 +1,7 @@
 #include "experiments/calibration_scenes.h"
 
 #include <Eigen/Geometry>
+#include <array>
 #include <cmath>
 
 #include "experiments/camera.h"
@@ -12,16 +13,33 @@
 namespace crofton {
 namespace {
 
-/// Adds a sheet of 2·n·n triangles, point(u, v) for u, v in [0, 1].
-template <class Point>
-void add_sheet(TriangleMesh& mesh, int n, const Point& point) {
+/// Two triangles with corners of their own.
+void add_quad(TriangleMesh& mesh, const std::array<Vec3f, 4>& corners) {
     const auto first = uint32_t(mesh.positions.size());
-    for (int i = 0; i <= n; ++i)
-        for (int j = 0; j <= n; ++j)
-            mesh.positions.push_back(point(double(i) / n, double(j) / n).template cast<float>());
+    mesh.positions.insert(mesh.positions.end(), corners.begin(), corners.end());
+    mesh.triangles.push_back({first, first + 1, first + 2});
+    mesh.triangles.push_back({first, first + 2, first + 3});
+}
+
+/// Adds a sheet of 2·n·n triangles, point(u, v) for u, v in [0, 1].
+/// @param faceted  with a normal for each face, and so corners
+template <class Point>
+void add_sheet(TriangleMesh& mesh, int n, bool faceted, const Point& point) {
+    const auto first = uint32_t(mesh.positions.size());
+    const auto place = [&](int i, int j) {
+        return Vec3f(point(double(i) / n, double(j) / n).template cast<float>());
+    };
     const auto at = [&](int i, int j) { return first + uint32_t(i * (n + 1) + j); };
+    if (!faceted)
+        for (int i = 0; i <= n; ++i)
+            for (int j = 0; j <= n; ++j) mesh.positions.push_back(place(i, j));
     for (int i = 0; i < n; ++i)
         for (int j = 0; j < n; ++j) {
+            if (faceted) {
+                add_quad(mesh,
+                         {place(i, j), place(i + 1, j), place(i + 1, j + 1), place(i, j + 1)});
+                continue;
+            }
             mesh.triangles.push_back({at(i, j), at(i + 1, j), at(i + 1, j + 1)});
             mesh.triangles.push_back({at(i, j), at(i + 1, j + 1), at(i, j + 1)});
         }
@@ -29,7 +47,8 @@ void add_sheet(TriangleMesh& mesh, int n, const Point& point) {
 
 void add_ball(TriangleMesh& mesh, const Vec3d& center, double radius, int n, Pcg32& rng) {
     const double waves = std::floor(2 + 6 * rng.uniform()), depth = 0.2 * rng.uniform();
-    add_sheet(mesh, n, [&](double u, double v) {
+    const bool faceted = rng.uniform() < 0.25;
+    add_sheet(mesh, n, faceted, [&](double u, double v) {
         const double a = 2 * pi * u, b = pi * v;
         const double r = radius * (1 + depth * std::sin(waves * a) * std::sin(b));
         return Vec3d(center +
@@ -37,42 +56,103 @@ void add_ball(TriangleMesh& mesh, const Vec3d& center, double radius, int n, Pcg
     });
 }
 
-/// Twelve triangles, turned at random; half of the boxes are long and thin.
-void add_box(TriangleMesh& mesh, const Vec3d& center, double size, Pcg32& rng) {
-    Vec3d x = uniform_direction(rng), y, z;
+/// Most of what is built stands upright and along the axes.
+void choose_frame(Vec3d& x, Vec3d& y, Vec3d& z, Pcg32& rng) {
+    constexpr double along_axes = 0.75;
+    x = rng.uniform() < along_axes ? Vec3d(Vec3d::Unit(int(3 * rng.uniform())))
+                                   : uniform_direction(rng);
     perpendicular(x, y, z);
-    const double thin = rng.uniform() < 0.5 ? 0.03 : 0.5;
-    x *= size, y *= size * thin, z *= size * thin * (0.5 + rng.uniform());
-    const auto first = uint32_t(mesh.positions.size());
-    for (int i = 0; i < 8; ++i)
-        mesh.positions.push_back(
-            (center + (i & 1 ? 1 : -1) * x + (i & 2 ? 1 : -1) * y + (i & 4 ? 1 : -1) * z)
-                .cast<float>());
-    static constexpr uint32_t faces[6][4] = {{0, 1, 3, 2}, {4, 5, 7, 6}, {0, 1, 5, 4},
-                                             {2, 3, 7, 6}, {0, 2, 6, 4}, {1, 3, 7, 5}};
-    for (const auto& f : faces) {
-        mesh.triangles.push_back({first + f[0], first + f[1], first + f[2]});
-        mesh.triangles.push_back({first + f[0], first + f[2], first + f[3]});
-    }
 }
 
-/// @param boxes  share of the objects that are boxes
-TriangleMesh clutter(size_t triangles, double boxes, uint64_t seed) {
+/// Twelve triangles on corners of their faces' own, as where a model has a normal for each; half of
+/// the boxes are long and thin.
+void add_box(TriangleMesh& mesh, const Vec3d& center, double size, Pcg32& rng) {
+    Vec3d x, y, z;
+    choose_frame(x, y, z, rng);
+    const double thin = rng.uniform() < 0.5 ? 0.03 : 0.5;
+    x *= size, y *= size * thin, z *= size * thin * (0.5 + rng.uniform());
+    static constexpr uint32_t faces[6][4] = {{0, 1, 3, 2}, {4, 5, 7, 6}, {0, 1, 5, 4},
+                                             {2, 3, 7, 6}, {0, 2, 6, 4}, {1, 3, 7, 5}};
+    const auto corner = [&](uint32_t i) {
+        return Vec3f((center + (i & 1 ? 1 : -1) * x + (i & 2 ? 1 : -1) * y + (i & 4 ? 1 : -1) * z)
+                         .cast<float>());
+    };
+    for (const auto& f : faces)
+        add_quad(mesh, {corner(f[0]), corner(f[1]), corner(f[2]), corner(f[3])});
+}
+
+/// A cylinder as machines are made of: long triangles around it, and fans of slivers as its ends,
+/// on corners of their own; 4·n - 4 triangles.
+void add_cylinder(TriangleMesh& mesh, const Vec3d& center, double size, int n, Pcg32& rng) {
+    Vec3d x, y, z;
+    choose_frame(x, y, z, rng);
+    const double radius = size * (0.1 + 0.9 * rng.uniform());
+    const auto add_rings = [&] {
+        const auto first = uint32_t(mesh.positions.size());
+        for (int end = 0; end < 2; ++end)
+            for (int i = 0; i < n; ++i) {
+                const double a = 2 * pi * i / n;
+                mesh.positions.push_back((center + (end ? size : -size) * x +
+                                          radius * (std::cos(a) * y + std::sin(a) * z))
+                                             .cast<float>());
+            }
+        return [first, n](int end, int i) { return first + uint32_t(end * n + i % n); };
+    };
+    const auto side = add_rings(), cap = add_rings();
+    for (int i = 0; i < n; ++i) {
+        mesh.triangles.push_back({side(0, i), side(0, i + 1), side(1, i + 1)});
+        mesh.triangles.push_back({side(0, i), side(1, i + 1), side(1, i)});
+    }
+    for (int end = 0; end < 2; ++end)
+        for (int i = 1; i + 1 < n; ++i)
+            mesh.triangles.push_back({cap(end, 0), cap(end, i), cap(end, i + 1)});
+}
+
+/// One object of a clutter.
+struct Piece {
+    enum class Kind { box, cylinder, ball } kind;
+    Vec3d center;
+    double size;
+    int n;  ///< how fine it is
+
+    size_t triangles() const {
+        return size_t(kind == Kind::box ? 12 : kind == Kind::cylinder ? 4 * n - 4 : 2 * n * n);
+    }
+};
+
+/// Objects over a floor, from one to a hundred in size, many small ones for each that is large. So
+/// large that all together they have the same area, however many there are.
+/// @param straight  share of the objects that are boxes or cylinders
+TriangleMesh clutter(size_t triangles, double straight, uint64_t seed) {
+    constexpr double all_sizes = 3, largest = 0.5;  // squares of sizes, summed
     TriangleMesh mesh;
     Pcg32 rng(seed, 9);
-    add_sheet(mesh, 1, [](double u, double v) { return Vec3d(2 * u - 1, -0.5, 2 * v - 1); });
-    while (mesh.triangles.size() < triangles) {
-        const size_t left = triangles - mesh.triangles.size();
-        const Vec3d center(1.6 * rng.uniform() - 0.8, 0.8 * rng.uniform() - 0.4,
-                           1.6 * rng.uniform() - 0.8);
-        const double size = 0.005 * std::pow(100.0, rng.uniform());
-        if (rng.uniform() < boxes || left < 32) {
-            add_box(mesh, center, size, rng);
+    add_sheet(mesh, 1, false, [](double u, double v) { return Vec3d(2 * u - 1, -0.5, 2 * v - 1); });
+    std::vector<Piece> pieces;
+    double sum = 0;
+    for (size_t count = mesh.triangles.size(); count < triangles;
+         count += pieces.back().triangles()) {
+        const auto left = double(triangles - count);
+        const double kind = rng.uniform(), fine = std::pow(12.0, rng.uniform());
+        Piece piece{Piece::Kind::box, Vec3d::Zero(), 1 / (1 - 0.99 * rng.uniform()), 0};
+        piece.center =
+            Vec3d(1.6 * rng.uniform() - 0.8, 0.8 * rng.uniform() - 0.4, 1.6 * rng.uniform() - 0.8);
+        if (kind < straight || left < 48) {
+            if (kind > 0.5 * straight && left >= 48)
+                piece.kind = Piece::Kind::cylinder, piece.n = int(std::min(left / 4, 6 * fine));
         } else {
-            const double most = std::sqrt(double(left) / 2);
-            add_ball(mesh, center, size, int(std::min(most, 4 * std::pow(12.0, rng.uniform()))),
-                     rng);
+            piece.kind = Piece::Kind::ball;
+            piece.n = int(std::min(std::sqrt(left / 2), 4 * fine));
         }
+        sum += piece.size * piece.size;
+        pieces.push_back(piece);
+    }
+    for (const Piece& piece : pieces) {
+        const double size = std::min(largest, piece.size * std::sqrt(all_sizes / sum));
+        if (piece.kind == Piece::Kind::box) add_box(mesh, piece.center, size, rng);
+        if (piece.kind == Piece::Kind::cylinder)
+            add_cylinder(mesh, piece.center, size, piece.n, rng);
+        if (piece.kind == Piece::Kind::ball) add_ball(mesh, piece.center, size, piece.n, rng);
     }
     return mesh;
 }
@@ -111,6 +191,18 @@ Quadrics quadrics_of(const TriangleMesh& mesh) {
     return out;
 }
 
+/// Of a picture so many pixels, whole lines of them, evenly spread: as near each other as in
+/// pictures that are traced, since that is what neighbours gain by.
+std::vector<Ray> lines_of(const std::vector<Ray>& picture, size_t width, size_t most) {
+    const size_t step = std::max<size_t>(1, picture.size() / most);
+    std::vector<Ray> out;
+    for (size_t line = step / 2; line < picture.size() / width; line += step) {
+        const auto first = picture.begin() + long(line * width);
+        out.insert(out.end(), first, first + long(width));
+    }
+    return out;
+}
+
 CalibrationScene with_rays(const std::string& shapes, double size, Scene scene) {
     CalibrationScene s{shapes, size, std::move(scene), 0, {}, {}, {}};
     const SceneStatistics stats = statistics(s.scene);
@@ -120,8 +212,8 @@ CalibrationScene with_rays(const std::string& shapes, double size, Scene scene) 
     plan.top = plan.objects = std::make_shared<const AcceleratorChoice>(quick);
     const Assembly reference = assemble(s.scene, plan);
     // So many that each needs to be traced only once: caches and branch predictors learn fast.
-    constexpr size_t most = 4096;
-    constexpr int edge = 64;
+    constexpr size_t most = 8192;
+    constexpr int edge = 256;
     Pcg32 rng(3);
     BoundingSphere sphere = bounding_sphere(stats.bounds_min, stats.bounds_max);
     sphere.radius *= 0.7;  // of lines through all of it, many would pass by what is in it
@@ -130,7 +222,7 @@ CalibrationScene with_rays(const std::string& shapes, double size, Scene scene) 
         line.t_max = std::numeric_limits<float>::infinity();
         s.lines.push_back(line);
     }
-    s.view = camera_rays(choose_camera({}, s.scene, sphere), edge, edge);
+    s.view = lines_of(camera_rays(choose_camera({}, s.scene, sphere), edge, edge), edge, most);
     for (const Ray& seen : s.view) {
         const Hit hit = reference.root->intersect(seen);
         if (!hit.is_hit()) continue;

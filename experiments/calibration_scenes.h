@@ -15,14 +15,15 @@ struct CalibrationScene {
     Scene scene;
     uint64_t count = 0;       ///< shapes in fact
     std::vector<Ray> lines;   ///< isotropic, in no order
-    std::vector<Ray> view;    ///< of a camera, pixel after pixel
+    std::vector<Ray> view;    ///< of a camera, pixel after pixel along some lines of a picture
     std::vector<Ray> inside;  ///< from what these hit, in any direction
 };
 
-/// Terrains, and clutter as models have it: bumpy balls and thin boxes of sizes from one to a
-/// hundred over a floor, in the order in which a modeller would add them. The same shapes as
-/// quadrics and as polygons. Ascending in size. None of these is a scene that experiments judge
-/// predictions on.
+/// Terrains, and clutter as models have it: bumpy balls, boxes and cylinders over a floor, most of
+/// them along the axes, with sizes from one to a hundred (many small ones for each large one) and
+/// corners that are shared or, where faces have normals of their own, not; object after object. All
+/// of them together have the same area, however fine they are. The same shapes as quadrics and as
+/// polygons. Ascending in size. None of these is a scene that experiments judge predictions on.
 std::vector<CalibrationScene> calibration_scenes();
 
 }  // namespace crofton

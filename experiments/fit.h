@@ -10,8 +10,9 @@ namespace crofton {
 /// Time and counts of a ray, means over many.
 struct RayCost {
     double ns = 0;
-    double steps = 0;  ///< N_TS
-    double tests = 0;  ///< N_IT
+    double steps = 0;   ///< N_TS
+    double tests = 0;   ///< N_IT
+    bool view = false;  ///< of neighbours that go together
 };
 
 struct CountedRay {

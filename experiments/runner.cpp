@@ -311,8 +311,12 @@ class Run {
             PredictedCosts p;
             p.choose_s = seconds_since(start);
             p.build_s = e.build_s, p.bytes = e.bytes, p.ns_per_ray = e.ns_per_ray;
-            p.expected_ns = factor * counted_ns(*trial.built->assembly.root, choice.structure,
-                                                *counts_, sample, calibration());
+            // Two estimates, each as good as the other: what the pilot says of more shapes, and
+            // what the structure's own counters say.
+            p.expected_ns =
+                std::sqrt(e.ns_per_ray * factor *
+                          counted_ns(*trial.built->assembly.root, choice.structure, *counts_,
+                                     sample, calibration()));
             trial.row.predicted = p;
         }
     }

@@ -18,7 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int64_t file_version = 2;
+constexpr int64_t file_version = 3;
 constexpr double most = 1e300;
 
 /// Between two points on logarithmic axes, and beyond them.
@@ -44,14 +44,14 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("spread", array_of({s.ray_spread, s.build_spread}));
     table.set("order", array_of({s.order_scale, s.order_power}));
     table.set("thinned", array_of({s.thin_apart, s.thin_build, s.thin_together}));
-    table.set("coherence", array_of({s.together, s.apart}));
     table.set("test_share", ConfigValue::of(s.test_share));
-    table.set("counted",
-              array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error}));
+    table.set("counted", array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error,
+                                   s.counted_together}));
     ConfigValue growth;
     growth.type = ConfigValue::Type::array;
     for (const GrowthPoint& p : s.growth)
-        growth.items.push_back(array_of({p.shapes, p.build_ns, p.bytes, p.ray_ns}));
+        growth.items.push_back(
+            array_of({p.shapes, p.build_ns, p.bytes, p.ray_ns, p.together, p.apart}));
     table.set("growth", std::move(growth));
     return table;
 }
@@ -93,12 +93,10 @@ StructureCosts read_structure(ConfigTable& table) {
     s.order_scale = order[0], s.order_power = order[1];
     const std::vector<double> thinned = required(table, "thinned", 3);
     s.thin_apart = thinned[0], s.thin_build = thinned[1], s.thin_together = thinned[2];
-    const std::vector<double> coherence = required(table, "coherence", 2);
-    s.together = coherence[0], s.apart = coherence[1];
     s.test_share = table.real("test_share", 0, 0, 1);
-    const std::vector<double> c = required(table, "counted", 5);
+    const std::vector<double> c = required(table, "counted", 6);
     s.per_ray = c[0], s.per_step = c[1], s.per_test = c[2], s.per_doubling = c[3];
-    s.fit_error = c[4];
+    s.fit_error = c[4], s.counted_together = c[5];
     ConfigValue* growth = table.value("growth");
     if (!growth || !growth->is_array() || growth->items.empty())
         table.fail("growth", table.what() + ": growth: expected an array of points");
@@ -107,8 +105,8 @@ StructureCosts read_structure(ConfigTable& table) {
         wrapper.place = item.place;
         wrapper.set("point", item);
         ConfigTable point(wrapper, "growth");
-        const std::vector<double> v = required(point, "point", 4);
-        s.growth.push_back({v[0], v[1], v[2], v[3]});
+        const std::vector<double> v = required(point, "point", 6);
+        s.growth.push_back({v[0], v[1], v[2], v[3], v[4], v[5]});
     }
     table.finish();
     return s;
@@ -155,8 +153,16 @@ GrowthPoint StructureCosts::at(double shapes) const {
     const auto between = [&](double y0, double y1) {
         return interpolated(n, a.shapes, y0, b.shapes, y1);
     };
-    return {n, between(a.build_ns, b.build_ns), between(a.bytes, b.bytes),
-            between(a.ray_ns, b.ray_ns)};
+    GrowthPoint p = b;
+    p.shapes = n;
+    p.build_ns = between(a.build_ns, b.build_ns);
+    p.bytes = between(a.bytes, b.bytes);
+    p.ray_ns = between(a.ray_ns, b.ray_ns);
+    if (n < b.shapes) {  // beyond the last point no slope goes on in these
+        p.together = between(a.together, b.together);
+        p.apart = between(a.apart, b.apart);
+    }
+    return p;
 }
 
 double StructureCosts::counted_ns(double steps, double tests, double bytes,

@@ -42,6 +42,9 @@ struct GrowthPoint {
     double build_ns = 0;  ///< per shape
     double bytes = 0;     ///< per shape
     double ray_ns = 0;    ///< per ray that meets the bounds
+    /// ns per ray over ray_ns, which is a mean over all: of rays from one point, as from a camera,
+    /// neighbours together, and of all others. The finer the shapes, the less neighbours gain.
+    double together = 1, apart = 1;
 };
 
 /// A structure's costs over one kind of shape, as they grow; between points they are interpolated
@@ -58,25 +61,21 @@ struct StructureCosts {
     /// ns by the constants below: order_scale·x^order_power. 0: the order does not matter.
     double order_scale = 0, order_power = 1;
 
-    /// Nanoseconds of a ray from counters: per_ray + (per_step·N_TS + per_test·N_IT)·f, with f = 1
+    /// Nanoseconds of a ray alone from counters: per_ray + (per_step·N_TS + per_test·N_IT)·f, f = 1
     /// + per_doubling·log2(bytes / what the second cache holds) beyond that cache, else 1.
     double per_ray = 0, per_step = 0, per_test = 0, per_doubling = 0;
     double fit_error = 0;  ///< median |predicted / measured - 1| over the calibration's own scenes
+    /// Time over counted_ns of neighbours from one point, which may go together; of others 1.
+    double counted_together = 1;
 
-    /// Of a scene over itself thinned (see thinned): ns per ray of rays that go apart, and seconds
-    /// of the build, grow with these powers of the numbers of shapes.
-    double thin_apart = 0.15, thin_build = 1;
-
-    /// ns per ray over those of growth, which are means over all: of rays from one point, as from a
-    /// camera, neighbours together, and of all others.
-    double together = 1, apart = 1;
+    /// Of a scene over itself thinned (see thinned): ns per ray grow with these powers of the
+    /// numbers of shapes, of rays that go apart, and of neighbours together, of which more pass as
+    /// one in a thinned scene; and seconds of the build.
+    double thin_apart = 0.15, thin_together = 0.05, thin_build = 1;
 
     /// Share of a ray's time that tests of shapes take: what rays cost more where shapes are dearer
     /// to test than the calibration's.
     double test_share = 0;
-
-    /// As thin_apart, of neighbours together: in a thinned scene more of them pass as one.
-    double thin_together = 0.05;
 
     /// At any number of shapes >= 1.
     GrowthPoint at(double shapes) const;
@@ -97,7 +96,7 @@ struct Calibration {
     /// @return  null if there is nothing about them
     const StructureCosts* find(const std::string& structure, const std::string& shapes) const;
 
-    /// Typical values, for where nothing was measured: of one core of the Zen 4 kind.
+    /// Typical values, for where nothing was measured: of one core of the Zen 5 kind.
     static const Calibration& nominal();
 };
 

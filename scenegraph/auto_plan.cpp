@@ -242,7 +242,7 @@ class Chooser {
         constexpr size_t least_rays = 64;
         const double both_ns = seen.ns_per_ray + (held_is_timed_ ? outlook_[held_].ns_per_ray : 0);
         size_t rays = is_lazy(structure) ? 0 : outlook_.trial_rays(both_ns);
-        if (rays < least_rays) rays = 0;
+        if (rays < least_rays || !matters(i, seen.build_s)) rays = 0;
         if (rays > 0) {
             const std::vector<Ray> some = some_of(sample_.rays, rays);
             const RaySample part{some, sample_.any, sample_.mode};
@@ -251,6 +251,13 @@ class Chooser {
         outlook_.learn(i, seen, rays);
         const double lost_s = keep(i, std::move(assembly), rays > 0);
         spend(lost_s + 1e-9 * seen.ns_per_ray * double(rays));
+    }
+
+    /// Whether it is worth knowing how dear rays are in candidate i, which is built: not if it can
+    /// be neither dropped for another, since that would cost more than choosing may, nor is another
+    /// held.
+    bool matters(size_t i, double build_s) const {
+        return holds_one_ || !outlook_[i].fits || build_s <= outlook_.allowed();
     }
 
     /// Nanoseconds per ray of what was built, beside what is held if that was timed, too.

@@ -131,7 +131,8 @@ size_t Outlook::first() const {
     const size_t best = this->best();
     if (options_.objective.priority != Priority::total || sample_size_ == 0) return best;
     constexpr double as_good = 1.3;  // if nothing better fits, it is what is kept
-    const double most = 0.6 * allowed();
+    constexpr double part = 0.25;    // there is to be room for more
+    const double most = part * allowed();
     size_t stone = best;
     double least = infinity;
     for (size_t i = 0; i < size(); ++i) {
@@ -143,32 +144,20 @@ size_t Outlook::first() const {
         if (e.build_s + trial_s(e.ns_per_ray) <= most && e.total_s < least)
             least = e.total_s, stone = i;
     }
-    return stone == best ? surest(best) : stone;
-}
-
-/// Of what is expected to be as good as the best, within what estimates are worth: what is built
-/// fastest. Rays may turn out slower than expected; a build that is short leaves room for another.
-size_t Outlook::surest(size_t best) const {
-    constexpr double as_good = 1.1;
-    size_t found = best;
-    for (size_t i = 0; i < size(); ++i) {
-        const CostEstimate& e = now_[i];
-        const StructureChoice& s = candidates_[i].choice.structure;
-        if (!e.fits || is_lazy(s) || uses_order(s) || e.total_s > as_good * now_[best].total_s)
-            continue;
-        if (e.build_s < now_[found].build_s) found = i;
-    }
-    return found;
+    return stone;
 }
 
 /// Of ln(ns per ray of candidate i over that of what is held).
 double Outlook::deviation(size_t i, size_t held) const {
     const PlanChoice &a = candidates_[i].choice, &b = candidates_[held].choice;
-    const double least = piloted_[i]                            ? piloted_spread
-                         : a.structure.type == b.structure.type ? 0.12
-                                                                : 0.18;
+    // What a builder gains over another that looks at areas, too, differs little from model to
+    // model (see auto_select.md).
+    const bool one_type = a.structure.type == b.structure.type;
+    const bool alike =
+        one_type && a.placing == b.placing && !is_blind(a.structure) && !is_blind(b.structure);
+    const double least = piloted_[i] ? piloted_spread : alike ? 0.08 : one_type ? 0.12 : 0.18;
     // What is not known of the scene is between a structure that was tried and those that were not.
-    const double scene = piloted_[i] ? 0 : std::sqrt(scene_variance_);
+    const double scene = piloted_[i] || alike ? 0 : std::sqrt(scene_variance_);
     const double own = std::hypot(std::max(least, now_[i].ray_spread), scene);
     // How nesting compares is in the spread of what is nested, and unknown likewise of what is
     // flat, once something nested has been tried.
@@ -188,15 +177,20 @@ double Outlook::gain(size_t i, size_t held) const {
     return saved - build - trial_s(i, held);
 }
 
+/// Whether a careful build is compared with a blind one of the same structure: it is never worse.
+bool Outlook::is_same_but_careful(size_t i, size_t held) const {
+    const PlanChoice &a = candidates_[i].choice, &b = candidates_[held].choice;
+    return a.structure.type == b.structure.type && a.placing == b.placing &&
+           !is_blind(a.structure) && is_blind(b.structure);
+}
+
 /// Whether the time for choosing allows to build candidate i, too: of the two builds, the one that
-/// is not used in the end is lost, whichever that is. That of what is held, if it is nearly
-/// certain.
+/// is not used in the end is lost. That is what is held, as likely as candidate i is better.
 bool Outlook::affordable(size_t i, size_t held) const {
-    constexpr double nearly_certain = 0.97;
     const double better = std::log(now_[held].ns_per_ray / now_[i].ns_per_ray);
-    double lost = now_[held].build_s;
-    if (normal_share(better / deviation(i, held)) < nearly_certain)
-        lost = std::max(lost, now_[i].build_s);
+    const double likely =
+        is_same_but_careful(i, held) ? 1 : normal_share(better / deviation(i, held));
+    const double lost = likely * now_[held].build_s + (1 - likely) * now_[i].build_s;
     return lost + trial_s(i, held) <= allowed();
 }
 

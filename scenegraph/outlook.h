@@ -72,12 +72,12 @@ class Outlook {
     static constexpr double kept_within = 0.8;  ///< of the share, for totals that come out smaller
 
     double spread_of(size_t i) const;
-    size_t surest(size_t best) const;
     double deviation(size_t i, size_t held) const;
     double gain(size_t i, size_t held) const;
     double trial_s(size_t i, size_t held) const {
         return trial_s(now_[i].ns_per_ray + now_[held].ns_per_ray);
     }
+    bool is_same_but_careful(size_t i, size_t held) const;
     bool affordable(size_t i, size_t held) const;
     void scale(double factor, double spread);
 

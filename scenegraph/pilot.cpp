@@ -79,7 +79,9 @@ double counted_ns(const Primitive& root, const StructureChoice& structure,
     const StructureCosts* costs = costs_of(structure, counts.main_kind(), calibration);
     if (!costs) return infinity;
     const double n = double(sample.rays.size());
-    return costs->counted_ns(double(sum.N_TS) / n, counts.weight * double(sum.N_IT) / n,
+    const bool together = coherence_of(sample.rays) == Coherence::together;
+    return (together ? costs->counted_together : 1) *
+           costs->counted_ns(double(sum.N_TS) / n, counts.weight * double(sum.N_IT) / n,
                              double(total_statistics(root).bytes), calibration.cache_bytes);
 }
 
