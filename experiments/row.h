@@ -32,7 +32,7 @@ struct BudgetTotal {
 struct PredictedCosts {
     double choose_s = 0;                            ///< that it took
     double build_s = 0, bytes = 0, ns_per_ray = 0;  ///< before the build
-    double expected_ns = 0;  ///< per ray, after it: counters times calibrated constants
+    double expected_ns = 0;  ///< per ray, after it: from counters, and from a pilot if there was one
 };
 
 /// The result of one variant on one workload: a line of rows.jsonl.
