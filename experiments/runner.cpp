@@ -281,7 +281,7 @@ class Run {
         trials.push_back(plan_trial(chosen_built_.back(), workload));
     }
 
-    /// Costs of every trial's plan before its build, from a pilot, and after it, from counters.
+    /// Costs of every trial's plan before its build, from a pilot, and after it, from counters, too.
     void predict(std::vector<Trial>& trials) {
         progress_.step("predicting", true);
         // At most a quarter of the shapes, so that it is before the build.
