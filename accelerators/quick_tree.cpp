@@ -3,6 +3,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "accelerators/quick_tree.cpp"
 #include <hwy/foreach_target.h>
+#include <hwy/cache_control.h>
 
 #include "accelerators/morton_keys.h"
 #include "accelerators/object_split.h"
@@ -44,6 +45,7 @@ class QuickBuilder {
     /// The subtree over keys [begin, end), which are all of those with the same highest bits.
     QuickEntry build(size_t begin, size_t end) {
         for (size_t i = begin; i < end; ++i) {
+            ask_ahead(i, end);
             start(i);
             settle(i + 1 < end ? keys_.key(i) ^ keys_.key(i + 1) : ~uint64_t{0});
         }
@@ -64,6 +66,14 @@ class QuickBuilder {
     }
 
   private:
+    /// Triangles follow one another by place, but lie in memory as the model has them.
+    HWY_INLINE void ask_ahead(size_t i, size_t end) const {
+        constexpr size_t triangle = 12, corner = 6;
+        if (i + triangle < end) hwy::Prefetch(&corners_.triangles()[keys_.index(i + triangle)]);
+        if (i + corner >= end) return;
+        for (const uint32_t c : corners_.triangles()[keys_.index(i + corner)])
+            hwy::Prefetch(corners_.coordinates() + size_t{3} * c);
+    }
     /// A triangle by itself.
     void start(size_t i) {
         QuickEntry& e = stack_[size_++];

@@ -25,11 +25,12 @@ AssemblyPlan flat_plan(const StructureChoice& choice) {
 
 /// One structure over one sample.
 struct Observation {
-    const CalibrationScene* sample;
-    double build_ns, bytes;  ///< per shape
-    double relative;         ///< time of a ray over that of the reference
+    const CalibrationScene* sample = nullptr;
+    double build_relative = 0;  ///< its time over that of the quickest structure
+    double relative = 0;        ///< time of a ray over that of the reference
+    double structure_bytes = 0;
+    double build_ns = 0, bytes = 0;  ///< per shape
     double ray_ns = 0;
-    double structure_bytes;
     std::vector<RayCost> rays;  ///< counters and time of each set of rays
     /// Powers that costs grow with from the scene thinned to the whole one; none for small scenes.
     std::optional<double> thin_apart, thin_build, thin_together;
@@ -43,7 +44,10 @@ void forget() {
 }
 
 /// Builds until the median is steady enough; what is dear, once.
-double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& last) {
+/// @param beside  called after each build
+template <class Beside>
+double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& last,
+                     const Beside& beside) {
     std::vector<double> seconds;
     double sum = 0;
     while (seconds.size() < 3 || (sum < 2e-3 && seconds.size() < 15)) {
@@ -51,6 +55,7 @@ double build_seconds(const Scene& scene, const AssemblyPlan& plan, Assembly& las
         forget();
         last = assemble(scene, plan);
         seconds.push_back(last.build_s);
+        beside();
         sum += last.build_s;
         if (sum > 0.02) break;
     }
@@ -84,16 +89,25 @@ struct RaySet {
 };
 
 /// The first choice over a scene: what rays take in every other one is timed beside it, in turns,
-/// since what else a machine does changes from second to second.
+/// since what else a machine does changes from second to second; and builds beside those of the
+/// quickest one.
 struct Reference {
+    const Scene& scene;
     Assembly assembly;
-    std::vector<RaySet> sets;  ///< those that there are
+    std::vector<RaySet> sets;     ///< those that there are
+    std::vector<double> build_s;  ///< of the quickest, whenever it was timed
 
     Reference(const CalibrationScene& sample, const StructureChoice& choice)
-        : assembly(assemble(sample.scene, flat_plan(choice))) {
+        : scene(sample.scene), assembly(assemble(scene, flat_plan(choice))) {
         const float size = assembly.root->bounds().extent().norm();
         for (const std::vector<Ray>* rays : {&sample.lines, &sample.view, &sample.inside})
             if (!rays->empty()) sets.emplace_back(*rays, size, rays == &sample.view);
+    }
+    double build_quickest() {
+        static const AssemblyPlan plan = flat_plan(quickest());
+        forget();
+        build_s.push_back(assemble(scene, plan).build_s);
+        return build_s.back();
     }
 };
 
@@ -104,7 +118,7 @@ std::vector<Ray> timed_rays(const std::vector<Ray>& rays, const Primitive& a, co
     return some_of(rays, std::max<size_t>(64, size_t(3.5e6 / std::max(ns, 1.0))));
 }
 
-/// Counts, and times over those of the reference, see make_absolute.
+/// Counts, and times over those of the reference: see make_absolute.
 std::vector<RayCost> ray_costs(const Primitive& root, Reference& reference) {
     std::vector<RayCost> costs;
     const Primitive& other = *reference.assembly.root;
@@ -120,12 +134,6 @@ std::vector<RayCost> ray_costs(const Primitive& root, Reference& reference) {
         set.ns.push_back(observed_ns(other, {few, false, Mode::robust}));
     }
     return costs;
-}
-
-/// Makes nanoseconds of ratios, now that the reference has been timed often.
-void make_absolute(std::vector<RayCost>& costs, const Reference& reference) {
-    for (size_t k = 0; k < costs.size(); ++k)
-        costs[k].ns *= median_interval(reference.sets[k].ns).median;
 }
 
 /// Lazy structures are built by rays that meet every part.
@@ -146,7 +154,7 @@ struct Thinned {
 Thinned build_thinned(const AssemblyPlan& plan, const CalibrationScene& sample, double factor) {
     const Scene scene = thinned(sample.scene, factor);
     Thinned thin;
-    thin.seconds = build_seconds(scene, plan, thin.assembly);
+    thin.seconds = build_seconds(scene, plan, thin.assembly, [] {});
     thin.powers = std::log(double(sample.count) / double(statistics(scene).shapes_instanced));
     return thin;
 }
@@ -175,9 +183,12 @@ void observe_thinned(const AssemblyPlan& plan, Observation& o, const Primitive& 
 Observation observe(const StructureChoice& choice, const CalibrationScene& sample,
                     Reference& reference) {
     const AssemblyPlan plan = flat_plan(choice);
-    Observation o{&sample, 0, 0, 0, 0, 0, {}, {}, {}, {}};
+    Observation o;
+    o.sample = &sample;
     Assembly assembly;
-    double seconds = build_seconds(sample.scene, plan, assembly);
+    std::vector<double> quickest_s;
+    double seconds = build_seconds(sample.scene, plan, assembly,
+                                   [&] { quickest_s.push_back(reference.build_quickest()); });
     if (choice.parameters.contains("lazy")) {
         const auto start = Clock::now();
         wake(*assembly.root, reference);
@@ -186,14 +197,22 @@ Observation observe(const StructureChoice& choice, const CalibrationScene& sampl
         wake(*assembly.root, reference);
         seconds += std::max(0.0, first - seconds_since(again));
     }
-    const double n = double(sample.count);
-    o.build_ns = seconds * 1e9 / n;
+    o.build_relative = seconds / median_interval(std::move(quickest_s)).median;
     o.rays = ray_costs(*assembly.root, reference);
     o.relative = geometric_mean_ns(o.rays);
     o.structure_bytes = double(total_statistics(*assembly.root).bytes);
-    o.bytes = o.structure_bytes / n;
+    o.bytes = o.structure_bytes / double(sample.count);
     if (sample.size >= least_to_thin) observe_thinned(plan, o, *assembly.root, reference, seconds);
     return o;
+}
+
+/// Makes nanoseconds of ratios, now that the reference has been timed often.
+void make_absolute(Observation& o, const Reference& reference) {
+    for (size_t k = 0; k < o.rays.size(); ++k)
+        o.rays[k].ns *= median_interval(reference.sets[k].ns).median;
+    o.ray_ns = geometric_mean_ns(o.rays);
+    o.build_ns = o.build_relative * median_interval(reference.build_s).median * 1e9 /
+                 double(o.sample->count);
 }
 
 /// What rays of the view take, and those of the other sets, over the mean of all.
@@ -221,32 +240,6 @@ void set_thinned(StructureCosts& costs, const std::vector<Observation>& observat
     set(costs.thin_apart, &Observation::thin_apart);
     set(costs.thin_build, &Observation::thin_build);
     set(costs.thin_together, &Observation::thin_together);
-}
-
-/// A power of what OrderCost says, by least squares of logarithms. The spread is what is left.
-/// @param nodes  as in fit_counted: whose power holds here, too
-void fit_order(StructureCosts& costs, const std::vector<Observation>& observations,
-               double cache_bytes, const StructureCosts* nodes) {
-    std::vector<std::pair<double, double>> logs;
-    for (const Observation& o : observations) {
-        const OrderCost order = order_cost(o.sample->scene.geometries.front());
-        if (!order.known) continue;
-        const double counted =
-            costs.counted_ns(order.nodes, order.tests, o.structure_bytes, cache_bytes);
-        logs.emplace_back(std::log(counted), std::log(o.ray_ns));
-    }
-    if (logs.empty()) return;
-    double x = 0, y = 0, xx = 0, xy = 0, rest = 0;
-    const double n = double(logs.size());
-    for (const auto& [a, b] : logs) x += a / n, y += b / n;
-    for (const auto& [a, b] : logs) xx += (a - x) * (a - x), xy += (a - x) * (b - y);
-    costs.order_power = nodes ? nodes->order_power : std::clamp(xy / std::max(xx, 1e-9), 0.3, 1.0);
-    costs.order_scale = std::exp(y - costs.order_power * x);
-    for (const auto& [a, b] : logs) {
-        const double d = b - y - costs.order_power * (a - x);
-        rest += d * d / n;
-    }
-    costs.ray_spread = std::sqrt(rest);
 }
 
 /// @param nodes  as in fit_counted
@@ -292,7 +285,6 @@ StructureCosts costs_of(const StructureChoice& choice, const std::string& kind,
     for (const CountedRay& c : counted)
         costs.test_share +=
             std::min(1.0, costs.per_test * c.ray.tests / c.ray.ns) / double(counted.size());
-    if (uses_order(choice)) fit_order(costs, observations, cache_bytes, nodes);
     return costs;
 }
 
@@ -312,10 +304,7 @@ void measure_structures(Calibration& c, const std::string& kind,
             if (choices[i].type != "brute_force" || sample->size <= most_for_brute_force)
                 observations[i].push_back(observe(choices[i], *sample, reference));
     for (size_t i = 0; i < choices.size(); ++i) {
-        for (Observation& o : observations[i]) {
-            make_absolute(o.rays, references.at(o.sample));
-            o.ray_ns = geometric_mean_ns(o.rays);
-        }
+        for (Observation& o : observations[i]) make_absolute(o, references.at(o.sample));
         // Nodes cost the same whatever is in the leaves: as found over triangles, which come first.
         const StructureCosts* nodes = c.find(choices[i].name, "triangles");
         const StructureCosts costs =

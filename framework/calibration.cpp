@@ -18,7 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int64_t file_version = 3;
+constexpr int64_t file_version = 4;
 constexpr double most = 1e300;
 
 /// Between two points on logarithmic axes, and beyond them.
@@ -42,7 +42,6 @@ ConfigValue value_of(const StructureCosts& s) {
     table.set("structure", ConfigValue::of(s.structure));
     table.set("shapes", ConfigValue::of(s.shapes));
     table.set("spread", array_of({s.ray_spread, s.build_spread}));
-    table.set("order", array_of({s.order_scale, s.order_power}));
     table.set("thinned", array_of({s.thin_apart, s.thin_build, s.thin_together}));
     table.set("test_share", ConfigValue::of(s.test_share));
     table.set("counted", array_of({s.per_ray, s.per_step, s.per_test, s.per_doubling, s.fit_error,
@@ -89,8 +88,6 @@ StructureCosts read_structure(ConfigTable& table) {
     s.shapes = table.string("shapes", "");
     const std::vector<double> spread = required(table, "spread", 2);
     s.ray_spread = spread[0], s.build_spread = spread[1];
-    const std::vector<double> order = required(table, "order", 2);
-    s.order_scale = order[0], s.order_power = order[1];
     const std::vector<double> thinned = required(table, "thinned", 3);
     s.thin_apart = thinned[0], s.thin_build = thinned[1], s.thin_together = thinned[2];
     s.test_share = table.real("test_share", 0, 0, 1);

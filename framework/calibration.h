@@ -57,10 +57,6 @@ struct StructureCosts {
     double ray_spread = 0;
     double build_spread = 0;  ///< of ln(build_ns) between scenes of one size
 
-    /// Of a structure that keeps the shapes' order, ns per ray of a scene whose OrderCost costs x
-    /// ns by the constants below: order_scale·x^order_power. 0: the order does not matter.
-    double order_scale = 0, order_power = 1;
-
     /// Nanoseconds of a ray alone from counters: per_ray + (per_step·N_TS + per_test·N_IT)·f, f = 1
     /// + per_doubling·log2(bytes / what the second cache holds) beyond that cache, else 1.
     double per_ray = 0, per_step = 0, per_test = 0, per_doubling = 0;

@@ -116,7 +116,7 @@ void Outlook::learn(size_t i, const CostEstimate& seen, size_t rays) {
 /// Few scenes were calibrated with, so that what they say of spreads is no more than a start; and
 /// how good an order is, a sample hardly says.
 double Outlook::spread_of(size_t i) const {
-    const double least = uses_order(candidates_[i].choice.structure) ? 0.5 : 0.1;
+    const double least = uses_order(candidates_[i].choice.structure) ? order_spread : 0.1;
     return std::max(least, now_[i].ray_spread);
 }
 

@@ -59,18 +59,13 @@ const StructureChoice& named(const std::string& name) {
     return structure_choices().front();
 }
 
-/// Counts of shapes do not say how good their order is; a sample does: of the largest mesh,
-/// which stands for all. No order is much better for rays than a tree that is built.
-/// @param built_ns  per ray, of the quickest
-void use_order(CostEstimate& e, const SceneCounts& counts, const StructureCosts& costs,
-               const Calibration& calibration, double built_ns) {
-    constexpr double least = 1.4;  // of what was seen in large scenes, where it matters
-    const double counted = costs.counted_ns(counts.order.nodes, counts.weight * counts.order.tests,
-                                            e.bytes, calibration.cache_bytes);
-    // What the growth has for any order.
-    const double mean = costs.at(counts.kinds.front().placed).ray_ns;
-    e.ns_per_ray *= costs.order_scale * std::pow(counted, costs.order_power) / mean;
-    e.ns_per_ray = std::max(e.ns_per_ray, least * built_ns);
+/// Time of a ray in a tree over the shapes' own order over that in one that is built. No order is
+/// better than a tree: rays end where they hit, and so leave most of what is behind; the worse an
+/// order is, the less they do. Fitted to the models that are not judged (see auto_select.md).
+/// @param over  what a line that ends nowhere costs in it, over what a ray does in what is built
+double order_factor(double over) {
+    constexpr double least = 1.6, worth_two = 10, power = 2;
+    return least + std::pow(over / worth_two, power);
 }
 
 }  // namespace
@@ -151,6 +146,26 @@ const std::vector<PlanChoice>& quick_choices(bool several) {
     return lists[several];
 }
 
+namespace {
+
+/// Counts of shapes do not say how good their order is; a sample does: of the largest mesh, which
+/// stands for all.
+void use_order(CostEstimate& e, const SceneCounts& counts, const StructureCosts& costs,
+               const AutoOptions& options, const Calibration& calibration) {
+    const PlanChoice built = plan_choice(quickest(), PlanChoice::Placing::flat);
+    AutoOptions apart = options;
+    apart.objective.coherence = Coherence::apart;
+    const double line_ns = costs.counted_ns(counts.order.nodes, counts.weight * counts.order.tests,
+                                            0, calibration.cache_bytes);
+    const double over = line_ns / estimate(built, counts, apart, calibration).ns_per_ray,
+                 ns = estimate(built, counts, options, calibration).ns_per_ray;
+    if (!std::isfinite(over) || !std::isfinite(ns)) return;
+    e.ns_per_ray = ns * order_factor(over);
+    e.ray_spread = order_spread;
+}
+
+}  // namespace
+
 CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
                       const AutoOptions& options, const Calibration& calibration) {
     CostEstimate e;
@@ -159,11 +174,9 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
     e = flat_estimate(choice.structure, counts, objective, calibration);
     if (!std::isfinite(e.total_s)) return e;
     if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration)) {
-        if (uses_order(choice.structure) && counts.order.known && costs->order_scale > 0)
-            use_order(e, counts, *costs, calibration,
-                      flat_estimate(quickest(), counts, objective, calibration).ns_per_ray);
-        else
-            e.ns_per_ray *= 1 + (counts.weight - 1) * costs->test_share;
+        e.ns_per_ray *= 1 + (counts.weight - 1) * costs->test_share;
+        if (uses_order(choice.structure) && counts.order.known)
+            use_order(e, counts, *costs, options, calibration);
     }
     if (choice.placing != PlanChoice::Placing::flat) {
         const bool opened = choice.placing == PlanChoice::Placing::opened;

@@ -40,6 +40,8 @@ double nested_factor(const StructureChoice& structure, Coherence coherence);
 double nested_factor(const StructureChoice& structure, double thinned_ratio);
 /// Standard deviations of ln of both.
 inline constexpr double placing_spread = 0.16, placing_spread_thinned = 0.12;
+/// Standard deviation of ln of what an order's rays take, by a sample of the order.
+inline constexpr double order_spread = 0.5;
 
 AssemblyPlan plan_of(const PlanChoice& choice);
 
