@@ -122,7 +122,7 @@ double Outlook::spread_of(size_t i) const {
 
 size_t Outlook::trial_rays(double ns_per_ray) const {
     // Each ray is traced once.
-    constexpr double share = 0.005, most = 32768;
+    constexpr double share = 0.003, most = 16384;
     const double rays = share * total() / (1e-9 * std::max(ns_per_ray, 1.0));
     return size_t(std::min({rays, most, double(sample_size_)}));
 }
@@ -150,6 +150,8 @@ size_t Outlook::first() const {
 /// Of ln(ns per ray of candidate i over that of what is held).
 double Outlook::deviation(size_t i, size_t held) const {
     const PlanChoice &a = candidates_[i].choice, &b = candidates_[held].choice;
+    // How much worse an order is than a tree is not known, but it is never much better.
+    if (uses_order(a.structure)) return 1e-3;
     // What a builder gains over another that looks at areas, too, differs little from model to
     // model (see auto_select.md).
     const bool one_type = a.structure.type == b.structure.type;
