@@ -474,6 +474,19 @@ TEST_CASE("auto: of two builds, the one that is less likely to be used counts as
     CHECK(next(95, 0.5) == 2);  // might gain more than its build, but as likely nothing
 }
 
+TEST_CASE("auto: an order is not built in the hope that it is better than a tree") {
+    const auto next = [](const char* type) {
+        Candidate other = candidate("other", 1e-4, 110);
+        other.choice.structure.type = type;
+        other.predicted.ray_spread = order_spread;
+        Outlook outlook({candidate("bvh", 0.001, 100), other}, counted_for(1e6), 4096);
+        outlook.learn(0, {0.001, 1000, 100, 0, 0.1, true}, 1000);
+        return outlook.next(0);
+    };
+    CHECK(next("model_hierarchy") == 2);
+    CHECK(next("kdtree") == 1);  // as little is known of it, but it may be better
+}
+
 TEST_CASE("auto: time that choosing has taken is not there for another build") {
     const AutoOptions options = counted_for(1e6);
     Outlook outlook({candidate("held", 0.001, 100), candidate("other", 0.002, 80)}, options, 10000);
