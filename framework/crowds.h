@@ -57,20 +57,23 @@ class FasterWay {
 };
 
 /// Traces rays of a stream that do not go together, in crowds where that is faster.
-/// @tparam One    (i): traces ray i by itself
+/// @tparam One    (i): traces ray i by itself, where prepare refuses it
+/// @tparam Local  (local, query): traces a ray that is prepared; whether a query for any hit has
+/// one
 /// @tparam Trace  (crowd): traces a crowd
 /// @tparam Keep   (i, query, scale, found): keeps what ray i has found, see crofton::prepare
-template <class One, class Trace, class Keep>
+template <class One, class Local, class Trace, class Keep>
 class Crowds {
   public:
     /// @param magnitude, mode  see crofton::prepare and RayQuery
     /// @param way              what is known of which way is faster: the second are crowds
     Crowds(std::span<const Ray> rays, float magnitude, Mode mode, const One& one,
-           const Trace& trace, const Keep& keep, FasterWay& way)
+           const Local& local, const Trace& trace, const Keep& keep, FasterWay& way)
         : rays_(rays),
           magnitude_(magnitude),
           mode_(mode),
           one_(one),
+          local_(local),
           trace_(trace),
           keep_(keep),
           way_(way) {}
@@ -95,8 +98,29 @@ class Crowds {
         size_t index;
     };
 
+    /// Some are prepared before any of them is traced: else the first node of each would wait until
+    /// its ray is ready.
     void trace_each() {
-        for (size_t k = 0; k < count_; ++k) one_(waiting_[k]);
+        constexpr size_t some = 16;
+        for (size_t begin = 0; begin < count_; begin += some) {
+            const size_t end = std::min(count_, begin + some);
+            size_t ready = 0;
+            for (size_t k = begin; k < end; ++k) {
+                Single& s = single_[ready];
+                s.index = waiting_[k];
+                if (prepare(rays_[s.index], magnitude_, s.query, s.local, s.scale)) {
+                    s.query.mode = mode_;
+                    ++ready;
+                } else {
+                    one_(s.index);
+                }
+            }
+            for (size_t k = 0; k < ready; ++k) {
+                Single& s = single_[k];
+                const bool found = local_(s.local, s.query);
+                keep_(s.index, s.query, s.scale, found);
+            }
+        }
         count_ = 0;
     }
     void trace_crowd() {
@@ -121,6 +145,7 @@ class Crowds {
     float magnitude_;
     Mode mode_;
     const One& one_;
+    const Local& local_;
     const Trace& trace_;
     const Keep& keep_;
     FasterWay& way_;

@@ -134,8 +134,8 @@ void Primitive::in_good_order(std::span<const Ray> rays, Mode mode, const One& o
     }
 }
 
-template <class One, class Together, class Trace, class Keep>
-void Primitive::stream(std::span<const Ray> rays, Mode mode, const One& one,
+template <class One, class Local, class Together, class Trace, class Keep>
+void Primitive::stream(std::span<const Ray> rays, Mode mode, const One& one, const Local& local,
                        const Together& together, const Trace& trace, const Keep& keep) const {
     // In mode fast a hit may depend on the order of visits, which is another one in crowds.
     const bool any_order = mode == Mode::robust || mode == Mode::double_precision;
@@ -147,7 +147,7 @@ void Primitive::stream(std::span<const Ray> rays, Mode mode, const One& one,
     thread_local FasterWay way;
     if (asked != this) way = {};
     asked = this;
-    Crowds crowds(rays, magnitude_, mode, one, trace, keep, way);
+    Crowds crowds(rays, magnitude_, mode, one, local, trace, keep, way);
     in_good_order(
         rays, mode, [&](size_t i) { crowds.add(i); }, together);
     crowds.finish();
@@ -186,6 +186,10 @@ void Primitive::intersect(std::span<const Ray> rays, std::span<Hit> hits, Mode m
     assert(rays.size() == hits.size());
     stream(
         rays, mode, [&](size_t i) { hits[i] = intersect(rays[i], mode); },
+        [&](const LocalRay& ray, RayQuery& query) {
+            closest_local(ray, query);
+            return true;
+        },
         [&](RayPacket& packet, size_t first) {
             closest_packet(packet, packet.world, packet.rays);
             for (uint32_t left = packet.rays; left; left &= left - 1) {
@@ -201,6 +205,7 @@ void Primitive::occluded(std::span<const Ray> rays, std::span<uint8_t> results, 
     assert(rays.size() == results.size());
     stream(
         rays, mode, [&](size_t i) { results[i] = occluded(rays[i], mode); },
+        [&](const LocalRay& ray, RayQuery& query) { return any_local(ray, query); },
         [&](RayPacket& packet, size_t first) {
             any_packet(packet, packet.world, packet.rays);
             for (uint32_t left = packet.rays; left; left &= left - 1) {

@@ -197,10 +197,10 @@ class Primitive {
     template <class One, class Together>
     void as_given(std::span<const Ray> rays, Mode mode, const One& one,
                   const Together& together) const;
-    /// The same with trace(crowd) and keep(i, query, scale, found) for rays of a crowd: see Crowds.
-    template <class One, class Together, class Trace, class Keep>
-    void stream(std::span<const Ray> rays, Mode mode, const One& one, const Together& together,
-                const Trace& trace, const Keep& keep) const;
+    /// The same with local(ray, query), trace(crowd) and keep(i, query, scale, found): see Crowds.
+    template <class One, class Local, class Together, class Trace, class Keep>
+    void stream(std::span<const Ray> rays, Mode mode, const One& one, const Local& local,
+                const Together& together, const Trace& trace, const Keep& keep) const;
     enum : uint8_t { unknown_size, small_size, large_size };
     mutable std::atomic<uint8_t> size_known_ = unknown_size;
 };
