@@ -98,23 +98,28 @@ class Crowds {
         size_t index;
     };
 
+    /// Prepares those from `begin` to `end` that wait; traces those that are refused.
+    /// @return  how many are ready
+    size_t prepare_some(size_t begin, size_t end) {
+        size_t ready = 0;
+        for (size_t k = begin; k < end; ++k) {
+            Single& s = single_[ready];
+            s.index = waiting_[k];
+            if (prepare(rays_[s.index], magnitude_, s.query, s.local, s.scale)) {
+                s.query.mode = mode_;
+                ++ready;
+            } else {
+                one_(s.index);
+            }
+        }
+        return ready;
+    }
     /// Some are prepared before any of them is traced: else the first node of each would wait until
     /// its ray is ready.
     void trace_each() {
         constexpr size_t some = 16;
         for (size_t begin = 0; begin < count_; begin += some) {
-            const size_t end = std::min(count_, begin + some);
-            size_t ready = 0;
-            for (size_t k = begin; k < end; ++k) {
-                Single& s = single_[ready];
-                s.index = waiting_[k];
-                if (prepare(rays_[s.index], magnitude_, s.query, s.local, s.scale)) {
-                    s.query.mode = mode_;
-                    ++ready;
-                } else {
-                    one_(s.index);
-                }
-            }
+            const size_t ready = prepare_some(begin, std::min(count_, begin + some));
             for (size_t k = 0; k < ready; ++k) {
                 Single& s = single_[k];
                 const bool found = local_(s.local, s.query);
@@ -125,18 +130,10 @@ class Crowds {
     }
     void trace_crowd() {
         RayCrowd crowd;
-        for (size_t k = 0; k < count_; ++k) {
-            Single& s = single_[crowd.size];
-            s.index = waiting_[k];
-            if (!prepare(rays_[s.index], magnitude_, s.query, s.local, s.scale)) {
-                one_(s.index);
-                continue;
-            }
-            s.query.mode = mode_;
-            crowd.add(s.local, s.query);
-        }
+        const size_t ready = prepare_some(0, count_);
+        for (size_t k = 0; k < ready; ++k) crowd.add(single_[k].local, single_[k].query);
         if (crowd.size > 0) trace_(crowd);
-        for (uint32_t k = 0; k < crowd.size; ++k)
+        for (size_t k = 0; k < ready; ++k)
             keep_(single_[k].index, single_[k].query, single_[k].scale, crowd.found >> k & 1);
         count_ = 0;
     }
