@@ -3,6 +3,7 @@
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "accelerators/quick_tree.cpp"
 #include <hwy/foreach_target.h>
+
 #include <hwy/cache_control.h>
 
 #include "accelerators/morton_keys.h"

@@ -16,7 +16,8 @@ std::shared_ptr<AcceleratorChoice> choice_of(const StructureChoice& structure) {
 
 constexpr double object_bytes = 400;
 
-/// Of one structure over all shapes, whose kinds are in sets of their own.
+/// Of one structure over all shapes, whose kinds are in sets of their own; rays cost more where
+/// shapes are dearer to test.
 CostEstimate flat_estimate(const StructureChoice& structure, const SceneCounts& counts,
                            const Objective& objective, const Calibration& calibration) {
     CostEstimate sum;
@@ -27,6 +28,8 @@ CostEstimate flat_estimate(const StructureChoice& structure, const SceneCounts& 
         sum.build_s += e.build_s;
         sum.bytes += e.bytes;
     }
+    if (const StructureCosts* costs = costs_of(structure, counts.main_kind(), calibration))
+        sum.ns_per_ray *= 1 + (counts.weight - 1) * costs->test_share;
     return sum;
 }
 
@@ -64,8 +67,26 @@ const StructureChoice& named(const std::string& name) {
 /// order is, the less they do. Fitted to the models that are not judged (see auto_select.md).
 /// @param over  what a line that ends nowhere costs in it, over what a ray does in what is built
 double order_factor(double over) {
-    constexpr double least = 1.6, worth_two = 10, power = 2;
-    return least + std::pow(over / worth_two, power);
+    constexpr double least = 1.6, as_much_again = 10;
+    const double bad = over / as_much_again;
+    return least + bad * bad;
+}
+
+/// Counts of shapes do not say how good their order is; a sample does: of the largest mesh, which
+/// stands for all.
+void use_order(CostEstimate& e, const SceneCounts& counts, const StructureCosts& costs,
+               const Objective& objective, const Calibration& calibration) {
+    Objective apart = objective;
+    apart.coherence = Coherence::apart;
+    const auto built_ns = [&](const Objective& o) {
+        return flat_estimate(quickest(), counts, o, calibration).ns_per_ray;
+    };
+    const double line_ns = costs.counted_ns(counts.order.nodes, counts.weight * counts.order.tests,
+                                            0, calibration.cache_bytes);
+    const double over = line_ns / built_ns(apart), ns = built_ns(objective);
+    if (!std::isfinite(over) || !std::isfinite(ns)) return;
+    e.ns_per_ray = ns * order_factor(over);
+    e.ray_spread = order_spread;
 }
 
 }  // namespace
@@ -146,26 +167,6 @@ const std::vector<PlanChoice>& quick_choices(bool several) {
     return lists[several];
 }
 
-namespace {
-
-/// Counts of shapes do not say how good their order is; a sample does: of the largest mesh, which
-/// stands for all.
-void use_order(CostEstimate& e, const SceneCounts& counts, const StructureCosts& costs,
-               const AutoOptions& options, const Calibration& calibration) {
-    const PlanChoice built = plan_choice(quickest(), PlanChoice::Placing::flat);
-    AutoOptions apart = options;
-    apart.objective.coherence = Coherence::apart;
-    const double line_ns = costs.counted_ns(counts.order.nodes, counts.weight * counts.order.tests,
-                                            0, calibration.cache_bytes);
-    const double over = line_ns / estimate(built, counts, apart, calibration).ns_per_ray,
-                 ns = estimate(built, counts, options, calibration).ns_per_ray;
-    if (!std::isfinite(over) || !std::isfinite(ns)) return;
-    e.ns_per_ray = ns * order_factor(over);
-    e.ray_spread = order_spread;
-}
-
-}  // namespace
-
 CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
                       const AutoOptions& options, const Calibration& calibration) {
     CostEstimate e;
@@ -173,11 +174,9 @@ CostEstimate estimate(const PlanChoice& choice, const SceneCounts& counts,
     const Objective& objective = options.objective;
     e = flat_estimate(choice.structure, counts, objective, calibration);
     if (!std::isfinite(e.total_s)) return e;
-    if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration)) {
-        e.ns_per_ray *= 1 + (counts.weight - 1) * costs->test_share;
-        if (uses_order(choice.structure) && counts.order.known)
-            use_order(e, counts, *costs, options, calibration);
-    }
+    if (uses_order(choice.structure) && counts.order.known)
+        if (const auto* costs = costs_of(choice.structure, counts.main_kind(), calibration))
+            use_order(e, counts, *costs, objective, calibration);
     if (choice.placing != PlanChoice::Placing::flat) {
         const bool opened = choice.placing == PlanChoice::Placing::opened;
         const CostEstimate nested = nested_estimate(
